@@ -4,9 +4,10 @@
 #
 #   CC=clang        another compiler                    CFLAGS='-O3 -march=native'   other flags
 #   OPENMP=0|1      without or with OpenMP; by default with it where the compiler links it
-#   MESHES=DIR      meshes from elsewhere, passed to tests and benches as SFEM_MESHES if DIR exists
+#   MESHES=DIR      meshes from elsewhere, passed to tests and benches as SFEM_MESHES; none by default
 #   TESTS=test_mesh only these test programs            FILTER='*patch*'  only these tests in them
 #   JOBS=N          compilers and test programs at a time, all processors by default
+#   QUICK=1         a small `bench`
 #   BUILD=DIR       where products go: DIR/examples/NAME, DIR/tests/NAME, DIR/bench/NAME
 #
 # Sources are found by pattern: examples/NAME.c, tests/test_NAME.c and bench/NAME.c are programs of
@@ -16,13 +17,14 @@
 
 CFLAGS   ?= -O2 -g
 CXX      ?= c++
-MESHES   ?= ../shared/meshes
+MESHES   ?=
 BUILD    ?= build
 FILTER   ?=
 JOBS     ?= $(shell nproc 2>/dev/null || echo 1)
 ifeq ($(MAKELEVEL),0)
 MAKEFLAGS += -j$(JOBS)
 endif
+BEGIN := $(shell date +%s)
 WARNINGS  = -Wall -Wextra -Wpedantic -Wconversion -Wshadow
 
 FLAGS_test_base = -ffast-math
@@ -46,21 +48,71 @@ OPENMP ?= $(eval OPENMP := $$(call links,int omp_get_max_threads(void); \
 FLAGS = -std=c99 $(WARNINGS) -I. $(if $(filter 1,$(OPENMP)),-fopenmp) \
         $(CFLAGS) $(CPPFLAGS) $(INSTRUMENT)
 ENVIRONMENT = SFEM_SCRATCH=$(BUILD)/scratch SFEM_FILTER='$(FILTER)' \
-              $(if $(wildcard $(MESHES)),SFEM_MESHES=$(MESHES))
+              $(if $(MESHES),SFEM_MESHES='$(or $(wildcard $(MESHES)),$(error MESHES=$(MESHES): no such directory))')
 
 help: ## print this list
 	@grep -E '^[a-z-]+:.*## ' Makefile | sed -E 's/^([a-z-]+):.*## (.*)/  make \1|\2/' | \
 	    awk -F'|' '{ printf "%-20s %s\n", $$1, $$2 }'
 
-RUN = simulate crush modes grab stream fracture
+RUN = gallery crush fracture grab modes stream
 
-run: $(RUN:%=$(BUILD)/examples/%) ## bars swing, are crushed, vibrate, are grabbed, streamed, broken
-	@for x in $(RUN); do echo "== $$x"; $(BUILD)/examples/$$x --out $(BUILD)/$$x || exit 1; done
+run: ## bodies are torn, crushed, cut, grabbed, vibrate, are streamed: pictures in build/ in under 30 s
+	+@MAKE='$(MAKE)' BUILD='$(BUILD)' JOBS='$(JOBS)' RUN='$(RUN)' sh examples/run.sh
 
-test: check check-examples ## build and run every test, and every example once
+# `run` compiles softfem.h in two parts beside each other, at -O1 unless CFLAGS is given: all of it at -O2 takes one
+# processor longer than the whole run. $(BUILD)/run/steps gets a line for each step that is done.
+RUN_FLAGS = $(FLAGS) $(if $(filter file,$(origin CFLAGS)),-O1 -g0)
+PART_bodies = -DSFEM_MINIMAL -DSFEM_ENABLE_DAMAGE -DSFEM_ENABLE_MESHER
+PART_modal  = -DSFEM_MINIMAL -DSFEM_ENABLE_LINK -DSFEM_ENABLE_MODES -DSFEM_ENABLE_MESHIO
+part_of = $(if $(filter gallery crush fracture,$(1)),bodies,modal)
 
-bench: $(BUILD)/bench/bench ## set-up, factor, solve, step and memory by body size
+run-programs: $(BUILD)/run/part_bodies.o $(BUILD)/run/part_modal.o $(RUN:%=$(BUILD)/run/%)
+
+$(BUILD)/run/part_%.o: softfem.h Makefile $(BUILD)/flags
+	@mkdir -p $(@D)
+	@$(CC) $(RUN_FLAGS) $(PART_$*) -DSOFTFEM_IMPLEMENTATION -c -o $@ -x c softfem.h && \
+	    echo 'softfem.h, $*' >>$(BUILD)/run/steps
+
+$(BUILD)/run/%.o: examples/%.c $(wildcard examples/*.h) softfem.h Makefile $(BUILD)/flags
+	@mkdir -p $(@D)
+	@$(CC) $(RUN_FLAGS) $(PART_$(call part_of,$*)) -c -o $@ $< && echo '$<' >>$(BUILD)/run/steps
+
+.SECONDEXPANSION:
+$(RUN:%=$(BUILD)/run/%): %: %.o $$(BUILD)/run/part_$$(call part_of,$$(@F)).o
+	@$(CC) $(RUN_FLAGS) -o $@ $^ $(LDFLAGS) -lm
+
+test: check check-examples ## build and run every test, and every example once; how far it is, and its time
+	@echo "make test: everything passed in $$(($$(date +%s) - $(BEGIN))) s, compilation included"
+
+# What the report is made of, in this order; text goes to $(BUILD)/bench/NAME.txt. QUICK=1: fewer sizes, scenes and
+# repetitions, within a minute once all is built.
+REPORT = integrators solver eigen needs bench
+QUICK ?=
+ARGUMENTS_integrators = $(if $(QUICK),--quick) --out $(BUILD)/bench-integrators --references $(BUILD)/bench-real
+ARGUMENTS_solver      = $(if $(QUICK),7000 10)
+ARGUMENTS_eigen       = $(if $(QUICK),2500 3,20000)
+ARGUMENTS_needs       = $(if $(QUICK),--quick) --out $(BUILD)/bench
+ARGUMENTS_bench       = $(if $(QUICK),20000)
+
+bench: $(REPORT:%=$(BUILD)/bench/%) ## all that the page build/bench/report.html shows; QUICK=1: within a minute
+	@begin=$$(date +%s); k=0; export OMP_THREAD_LIMIT=1 OPENBLAS_NUM_THREADS=1; \
+	$(foreach x,$(REPORT),k=$$((k + 1)); echo "== $$k of $(words $(REPORT)): bench/$(x)"; \
+	    { $(ENVIRONMENT) $(BUILD)/bench/$(x) $(ARGUMENTS_$(x)) || echo >$(BUILD)/bench/$(x).failed; } | \
+	        tee $(BUILD)/bench/$(x).txt; \
+	    if [ -e $(BUILD)/bench/$(x).failed ]; then rm $(BUILD)/bench/$(x).failed; echo 'FAILED: $(x)'; exit 1; fi;) \
+	echo "measured in $$(($$(date +%s) - begin)) s"
+	@if command -v python3 >/dev/null; \
+	then python3 bench/report.py $(BUILD)/bench $(BUILD)/bench-integrators/integrators.csv $(if $(QUICK),quick); \
+	else echo 'python3, which makes $(BUILD)/bench/report.html of these figures, is not installed'; fi
+
+bench-body: $(BUILD)/bench/bench ## set-up, factor, solve, step and memory by body size
 	$(ENVIRONMENT) $(BUILD)/bench/bench
+
+bench-needs: $(BUILD)/bench/needs ## bodies without and with one thing: what a scene pays for what it asks for
+	OMP_THREAD_LIMIT=1 $(BUILD)/bench/needs --out $(BUILD)/bench
+
+bench-embed: $(BUILD)/bench/embed ## render surfaces that follow bodies: ns a point beside memory bandwidth
+	$(BUILD)/bench/embed
 
 bench-sleep: $(BUILD)/bench/sleep ## a step of a sleeping body, and what watching for sleep costs
 	$(ENVIRONMENT) $(BUILD)/bench/sleep
@@ -104,6 +156,17 @@ bench-eigen: $(BUILD)/bench/eigen ## modes beside ARPACK on CHOLMOD where instal
 
 examples: $(EXAMPLE_PROGRAMS) ## build every example
 
+gallery: $(BUILD)/examples/gallery ## the pictures of examples/gallery/, the first of them that of README.md
+	$(BUILD)/examples/gallery --out examples/gallery
+
+INTEROP ?=
+INTEROP_PYTHON ?= $(firstword $(wildcard /usr/bin/python3) python3)
+INTEROP_PROGRAMS = $(BUILD)/tests/interop_dump $(BUILD)/examples/simulate $(BUILD)/examples/tetrahedralize
+test-interop: $(INTEROP_PROGRAMS) ## meshes to and from gmsh, TetGen, meshio, VTK, CalculiX; skips what is not installed (INTEROP=--need-all)
+	@mkdir -p $(BUILD)/interop/programs
+	@cp $^ $(BUILD)/interop/programs/
+	@$(INTEROP_PYTHON) tests/interop.py $(BUILD)/interop/programs $(BUILD)/interop/files $(INTEROP)
+
 strict: ## gcc and clang, C99 to C++20, every switch, no warning, no foreign symbol
 	@if command -v python3 >/dev/null; then $(MAKE) -s structure; else echo 'left out: structure, which needs python3'; fi
 	@BUILD=$(BUILD)/strict sh tests/strict.sh
@@ -128,14 +191,14 @@ tsan: ## the tests named after threads under the thread sanitizer (all: FILTER='
 ifneq ($(THREADED)$(FILTER),)
 	$(MAKE) check BUILD=$(BUILD)/tsan OPENMP=0 CFLAGS='-O1 -g' INSTRUMENT=-fsanitize=thread \
 	    FILTER='$(or $(FILTER),*thread*)' \
-	    $(if $(FILTER),,TESTS='$(filter-out test_solver_wide,$(patsubst tests/%.c,%,$(THREADED)))')
+	    $(if $(FILTER),,TESTS='$(filter-out test_solver_wide test_solver_portable,$(patsubst tests/%.c,%,$(THREADED)))')
 else
 	@echo 'no test is named after threads'
 endif
 
 # Each target by itself, from the good inputs that it makes, in FUZZ_SECONDS; what is found stays in build/fuzz.
 FUZZ_SECONDS ?= 60
-FUZZ_TARGETS ?= gmsh vtk medit vega tetgen surface body modal reduced link
+FUZZ_TARGETS ?= gmsh vtk vtu medit inp vega tetgen surface body modal reduced link
 
 fuzz: $(BUILD)/fuzz/fuzz ## mesh and surface readers, state blocks and packets under libFuzzer, FUZZ_SECONDS=60 each (clang)
 	@for x in $(FUZZ_TARGETS); do \
@@ -148,7 +211,7 @@ fuzz: $(BUILD)/fuzz/fuzz ## mesh and surface readers, state blocks and packets u
 	done
 
 # Only the portable kernels: the others would take most of the time to compile, and read nothing from outside.
-$(BUILD)/fuzz/fuzz: tests/fuzz.c tests/fuzz.h softfem.h
+$(BUILD)/fuzz/fuzz: tests/fuzz.c tests/fuzz.h tests/mesh_files.h softfem.h
 	@mkdir -p $(@D)
 	clang -std=c99 $(WARNINGS) -I. -O1 -g -DSFEM_NO_DISPATCH -fsanitize=fuzzer,address,undefined \
 	    -fno-sanitize=$(subst pointer-overflow$(comma),,$(SLOW)) -fno-sanitize-recover=all -o $@ $< -lm
@@ -175,21 +238,25 @@ coverage: ## lines of softfem.h that the tests reach
 clean: ## remove every product
 	rm -rf $(BUILD)
 
-# Each program writes to a file of its own, so that what several print at a time stays apart.
+# Each program writes to a file of its own, so that what several print at a time stays apart. That file is printed
+# when the program ends, under its number: so many have ended.
 check: $(TEST_PROGRAMS)
-	@mkdir -p $(BUILD)/scratch; rm -f $(TEST_PROGRAMS:=.failed); \
-	echo $(TEST_PROGRAMS) | tr ' ' '\n' | $(ENVIRONMENT) xargs -P $(JOBS) -I@ sh -c \
-	    '{ echo "== @"; @; } >@.log 2>&1 || echo @ >@.failed; cat @.log'; \
+	@mkdir -p $(BUILD)/scratch; rm -f $(TEST_PROGRAMS:=.failed) $(BUILD)/tests/ended; from=$$(date +%s); \
+	echo "$(words $(TEST_PROGRAMS)) test programs, $(JOBS) at a time"; \
+	echo $(TEST_PROGRAMS) | tr ' ' '\n' | $(ENVIRONMENT) xargs -P $(JOBS) -n 1 sh -c \
+	    'from=$$(date +%s); $$1 >$$1.log 2>&1 || echo $$1 >$$1.failed; echo >>$(BUILD)/tests/ended; \
+	    echo "== $$(($$(wc -l <$(BUILD)/tests/ended))) of $(words $(TEST_PROGRAMS)): $$1," \
+	        "$$(($$(date +%s) - from)) s" | cat - $$1.log' sh; \
 	failed=$$(cat $(TEST_PROGRAMS:=.failed) 2>/dev/null); \
 	if [ -n "$$failed" ]; then echo "FAILED:" $$failed; exit 1; fi; \
-	echo "every test passed: $(words $(TEST_PROGRAMS)) programs"
+	echo "every test passed: $(words $(TEST_PROGRAMS)) programs in $$(($$(date +%s) - from)) s"
 
 check-examples: $(EXAMPLE_PROGRAMS)
-	@for x in $(EXAMPLES); do \
-	    out=$(BUILD)/out/$$x; mkdir -p $$out; arguments="--quick --out $$out"; \
+	@k=0; for x in $(EXAMPLES); do \
+	    k=$$((k + 1)); out=$(BUILD)/out/$$x; mkdir -p $$out; arguments="--quick --out $$out"; \
 	    if [ $$x = hello ]; then arguments=; fi; \
 	    if $(BUILD)/examples/$$x $$arguments >$$out/log 2>&1; \
-	    then echo "example $$x runs"; else cat $$out/log; echo "FAILED: example $$x"; exit 1; fi; \
+	    then echo "example $$k of $(words $(EXAMPLES)) runs: $$x"; else cat $$out/log; echo "FAILED: example $$x"; exit 1; fi; \
 	done
 
 $(BUILD)/softfem.o: softfem.h $(BUILD)/flags

@@ -18,6 +18,39 @@
  *
  * A whole program is examples/hello.c.
  *
+ * FUNCTIONS BY TASK, the first ones to look at; the comments at their declarations have the rest
+ *
+ *     load a mesh       sfem_mesh_read, _read_sets, _parse, _copy; sfem_mesh_block, _cylinder, _ball; sfem_mesh_check
+ *                       sfem_mesh_orient, _weld, _free
+ *     tets of a surface sfem_surface_read, sfem_mesh_from_surface; of a function sfem_mesh_from_sdf
+ *     number, select    sfem_mesh_renumber, _components, _remove_unused; sfem_mesh_pick_ray, _locate
+ *     make a model      sfem_default_material, sfem_default_model_def, sfem_model_create, _free; sfem_model_advice
+ *     matrices, forces  sfem_model_stiffness, _combine, _forces, _tangent; sfem_add_gravity, _traction, _pressure
+ *     make a body       sfem_default_body_def, sfem_body_create, _free; sfem_body_place, _set_state
+ *     step              sfem_body_step, or _predict, _solve, _finish; sfem_body_prepare; sfem_body_is_asleep, _wake
+ *     rest              sfem_body_solve_static
+ *     push              sfem_body_set_gravity, _set_lasting_force, _add_lasting_force; _add_step_force, _add_impulse
+ *     hold and grab     sfem_body_set_pins, _move_pin; sfem_mesh_near; sfem_body_grab_node, _grab_point, _grab_region
+ *                       sfem_body_move_handle, _release_handle
+ *     look at           sfem_body_positions, _velocities, _displacement, _energy, _get_info, _reactions
+ *                       sfem_body_handle_force; sfem_model_stress
+ *     render            sfem_mesh_surface, sfem_body_to_floats, sfem_body_normals; sfem_surface_normals
+ *                       sfem_embed_create, sfem_embed_to_floats, sfem_embed_break
+ *     cut and break     sfem_default_damage_def; sfem_body_cut, _break_edge, _heal; sfem_body_fracture, _breaks
+ *                       sfem_body_pieces, _piece_of; surfaces: sfem_body_fragments, _fragment_positions
+ *     save              sfem_body_state_size, _save_state, _load_state
+ *     write files       sfem_mesh_write_msh, _write_vtu, _write_pvd, _write_obj
+ *     share memory      sfem_workspace_create, _free
+ *     modes             sfem_default_modes_def, sfem_modes_create, _hz, _free
+ *     modal bodies      sfem_reduced_create, _free; sfem_modal_create, _step, _solve_static, _free
+ *         push, grab    sfem_modal_set_gravity, _add_lasting_force, _add_step_force; _grab_node, _grab_region
+ *         render        sfem_reduced_view_surface; sfem_modal_to_floats, _normals; _positions, _velocities, _node
+ *         place, save   sfem_modal_set_rigid, _set_coordinates; sfem_modal_save_state; sfem_reduced_save, _load
+ *         stream        sfem_sender_create, _write; sfem_receiver_create, _read, _step, _coordinates
+ *     solve a matrix    sfem_matrix_create; sfem_ldl_create, _refactor, _solve; sfem_cg_solve; sfem_dense_cholesky
+ *     single tets       sfem_law_energy, _stress, _tangent; sfem_polar, sfem_signed_svd
+ *     what went wrong   sfem_error; sfem_status_text
+ *
  * CONTENTS (search for the marker)
  *
  *     API    >>api-base     status, errors, memory, threads       >>api-mesh    >>api-meshio
@@ -26,6 +59,7 @@
  *            >>api-damage   fracture on the edge graph            >>api-body
  *            >>api-modes    eigenvalues and modes                 >>api-reduced modal bodies, warping
  *            >>api-link     modal motion over a lossy link
+ *            >>api-embed    a render surface that follows a coarse body
  *     IMPL   >>base         status, allocation, threads, vector paths
  *            >>saved        what is saved: a head and arrays in one block of memory
  *            >>math         3-vectors, 3x3 matrices, polar and singular value decomposition
@@ -51,6 +85,7 @@
  *            >>data         what a body is made of: all its structs
  *            >>state        the saved state: its arrays and their checks
  *            >>workspace    a step's temporaries, which bodies may share
+ *            >>system       a matrix that changes, and its factor
  *            >>handle       pins and handles set, moved and released while the body runs
  *            >>residual     right sides, and the mass: what the integrators share
  *            >>newmark      linear Newmark
@@ -58,9 +93,10 @@
  *                           nonlinear statics
  *            >>alpha        dissipation on demand: KR-alpha, CR, Gui-lambda, Chang
  *            >>pqr          the (p,q,r) family, central difference
- *            >>rotated         A^-1 in a body that rotates: frames, rigid projection
+ *            >>rotated      A^-1 in a body that rotates: frames, rigid projection
  *            >>resume       linear bodies whose step, pins or handles change
- *            >>safeguard        (p,q,r) for nonlinear laws: corrections, energy safeguard; breaking
+ *            >>safeguard    (p,q,r) for nonlinear laws: corrections, energy safeguard
+ *            >>breaking     bodies that break: their energy budget and balance
  *            >>sleep        bodies at rest, whose steps cost nothing
  *            >>refactor     a factor of the present tangent, made in slices
  *            >>method       what predict, solve and finish do for linear, Newton's and rotating bodies
@@ -70,6 +106,7 @@
  *            >>modes        block Lanczos, inertia count
  *            >>reduced      modal bodies: oscillators, warping, handles
  *            >>link         packets of accelerations, key frames
+ *            >>embed        a render surface that follows a coarse body
  *            >>kernels      inner loops, compiled once for each vector path
  *     TAIL   licence, changes
  *
@@ -91,13 +128,21 @@
  *
  *     SFEM_NO_MESHIO     without readers and writers of files, >>api-meshio
  *     SFEM_NO_MESHER     without tets from surfaces and functions, >>api-mesher
+ *     SFEM_NO_EMBED      without render surfaces that follow bodies, >>api-embed
  *     SFEM_NO_LINK       without senders and receivers, >>api-link
  *     SFEM_NO_REDUCED    without reduced models and modal bodies, >>api-reduced; needs SFEM_NO_LINK
- *     SFEM_NO_MODES      without the modes of models, >>api-modes; needs SFEM_NO_REDUCED
- *     SFEM_NO_BODY       without bodies that step by nodes, >>api-body, and their fracture, >>api-damage
- *     SFEM_MINIMAL       without all of these, but for those that an SFEM_ENABLE_ switch names:
- *     SFEM_ENABLE_MESHIO, SFEM_ENABLE_MESHER, SFEM_ENABLE_BODY, SFEM_ENABLE_MODES, SFEM_ENABLE_REDUCED (with modes),
- *     SFEM_ENABLE_LINK (with modes and reduced models)
+ *     SFEM_NO_MODES      without the modes of models, >>api-modes: reduced models are loaded, not made
+ *     SFEM_NO_DAMAGE     without fracture, >>api-damage
+ *     SFEM_NO_NEWTON     without the integrators that iterate by Newton, and statics of nonlinear laws: bodies step by
+ *                        (p,q,r) and its kin, or if linear by Newmark. The energy safeguard keeps its iteration
+ *     SFEM_NO_BODY       without bodies that step by nodes, >>api-body, fracture and Newton's iteration
+ *     SFEM_NO_MODEL      without matrices, solvers, materials and models, >>api-matrix, >>api-element, >>api-model, and
+ *                        what is made of them: bodies and modes
+ *     SFEM_MINIMAL       meshes without all of these, but for those that an SFEM_ENABLE_ switch names:
+ *     SFEM_ENABLE_MESHIO, SFEM_ENABLE_MESHER, SFEM_ENABLE_EMBED, SFEM_ENABLE_MODEL, SFEM_ENABLE_BODY (with models),
+ *     SFEM_ENABLE_DAMAGE and SFEM_ENABLE_NEWTON (with bodies), SFEM_ENABLE_MODES (with models), SFEM_ENABLE_REDUCED,
+ *     SFEM_ENABLE_LINK (with reduced models). SFEM_ENABLE_REDUCED alone plays reduced models that were saved; with
+ *     SFEM_ENABLE_MODES it makes them
  *
  * LIMITS. Linear (4-node) tetrahedra. Node and tet counts below 2^31. No contact, no remeshing.
  */
@@ -117,11 +162,21 @@
 #if !defined(SFEM_NO_MESHIO) && !defined(SFEM_ENABLE_MESHIO)
 #define SFEM_NO_MESHIO
 #endif
-#if !defined(SFEM_NO_BODY) && !defined(SFEM_ENABLE_BODY)
+#if !defined(SFEM_NO_DAMAGE) && !defined(SFEM_ENABLE_DAMAGE)
+#define SFEM_NO_DAMAGE
+#endif
+#if !defined(SFEM_NO_NEWTON) && !defined(SFEM_ENABLE_NEWTON)
+#define SFEM_NO_NEWTON
+#endif
+#if !defined(SFEM_NO_BODY) && !defined(SFEM_ENABLE_BODY) && !defined(SFEM_ENABLE_DAMAGE) && \
+    !defined(SFEM_ENABLE_NEWTON)
 #define SFEM_NO_BODY
 #endif
 #if !defined(SFEM_NO_MESHER) && !defined(SFEM_ENABLE_MESHER)
 #define SFEM_NO_MESHER
+#endif
+#if !defined(SFEM_NO_EMBED) && !defined(SFEM_ENABLE_EMBED)
+#define SFEM_NO_EMBED
 #endif
 #if !defined(SFEM_NO_LINK) && !defined(SFEM_ENABLE_LINK)
 #define SFEM_NO_LINK
@@ -129,9 +184,11 @@
 #if !defined(SFEM_NO_REDUCED) && !defined(SFEM_ENABLE_REDUCED) && !defined(SFEM_ENABLE_LINK)
 #define SFEM_NO_REDUCED
 #endif
-#if !defined(SFEM_NO_MODES) && !defined(SFEM_ENABLE_MODES) && !defined(SFEM_ENABLE_REDUCED) && \
-    !defined(SFEM_ENABLE_LINK)
+#if !defined(SFEM_NO_MODES) && !defined(SFEM_ENABLE_MODES)
 #define SFEM_NO_MODES
+#endif
+#if !defined(SFEM_NO_MODEL) && !defined(SFEM_ENABLE_MODEL) && defined(SFEM_NO_BODY) && defined(SFEM_NO_MODES)
+#define SFEM_NO_MODEL
 #endif
 #endif
 #if defined(SFEM_ENABLE_MESHIO) && defined(SFEM_NO_MESHIO)
@@ -140,8 +197,38 @@
 #if defined(SFEM_ENABLE_BODY) && defined(SFEM_NO_BODY)
 #error "softfem.h: SFEM_ENABLE_BODY and SFEM_NO_BODY are both defined: define only one of them"
 #endif
+#if defined(SFEM_ENABLE_DAMAGE) && defined(SFEM_NO_DAMAGE)
+#error "softfem.h: SFEM_ENABLE_DAMAGE and SFEM_NO_DAMAGE are both defined: define only one of them"
+#endif
+#if defined(SFEM_ENABLE_NEWTON) && defined(SFEM_NO_NEWTON)
+#error "softfem.h: SFEM_ENABLE_NEWTON and SFEM_NO_NEWTON are both defined: define only one of them"
+#endif
+#if (defined(SFEM_ENABLE_DAMAGE) || defined(SFEM_ENABLE_NEWTON)) && defined(SFEM_NO_BODY)
+#error "softfem.h: fracture and Newton's iteration are parts of bodies: define SFEM_NO_BODY, or SFEM_ENABLE_DAMAGE or SFEM_ENABLE_NEWTON, not both"
+#endif
+#if defined(SFEM_ENABLE_MODEL) && defined(SFEM_NO_MODEL)
+#error "softfem.h: SFEM_ENABLE_MODEL and SFEM_NO_MODEL are both defined: define only one of them"
+#endif
+#ifdef SFEM_NO_MODEL
+#if defined(SFEM_ENABLE_BODY) || defined(SFEM_ENABLE_DAMAGE) || defined(SFEM_ENABLE_NEWTON) || defined(SFEM_ENABLE_MODES)
+#error "softfem.h: bodies and modes are made of models: define SFEM_NO_MODEL, or SFEM_ENABLE_ of one of them, not both"
+#endif
+#undef SFEM_NO_BODY
+#undef SFEM_NO_MODES
+#define SFEM_NO_BODY
+#define SFEM_NO_MODES
+#endif
+#ifdef SFEM_NO_BODY
+#undef SFEM_NO_DAMAGE
+#undef SFEM_NO_NEWTON
+#define SFEM_NO_DAMAGE
+#define SFEM_NO_NEWTON
+#endif
 #if defined(SFEM_ENABLE_MESHER) && defined(SFEM_NO_MESHER)
 #error "softfem.h: SFEM_ENABLE_MESHER and SFEM_NO_MESHER are both defined: define only one of them"
+#endif
+#if defined(SFEM_ENABLE_EMBED) && defined(SFEM_NO_EMBED)
+#error "softfem.h: SFEM_ENABLE_EMBED and SFEM_NO_EMBED are both defined: define only one of them"
 #endif
 #if defined(SFEM_ENABLE_LINK) && defined(SFEM_NO_LINK)
 #error "softfem.h: SFEM_ENABLE_LINK and SFEM_NO_LINK are both defined: define only one of them"
@@ -151,9 +238,6 @@
 #endif
 #if defined(SFEM_ENABLE_MODES) && defined(SFEM_NO_MODES)
 #error "softfem.h: SFEM_ENABLE_MODES and SFEM_NO_MODES are both defined: define only one of them"
-#endif
-#if defined(SFEM_NO_MODES) && !defined(SFEM_NO_REDUCED)
-#error "softfem.h: reduced models are made of modes: with SFEM_NO_MODES define SFEM_NO_REDUCED too"
 #endif
 #if defined(SFEM_NO_REDUCED) && !defined(SFEM_NO_LINK)
 #error "softfem.h: senders and receivers carry the motion of modal bodies: with SFEM_NO_REDUCED define SFEM_NO_LINK too"
@@ -251,6 +335,7 @@ typedef struct sfem_exec {
     void *user;
 } sfem_exec;
 
+
 /* ============================================================================================
  * >>api-mesh   tetrahedral meshes
  * ============================================================================================ */
@@ -317,7 +402,10 @@ typedef struct sfem_mesh_report {
     sfem_int inverted;     /* left-handed tets */
     /* suspicious, but usable */
     sfem_int unused;      /* nodes in no tet */
-    sfem_int coincident;  /* nodes at the very place of one with a lower number: a seam? */
+    sfem_int coincident;  /* nodes at the very place of one with a lower number */
+    sfem_int seam;        /* surface triangles that lie on another one, node for node, but with other nodes: a seam of
+                           * duplicate nodes splits the body there, which sfem_mesh_weld joins */
+    sfem_int welded_components; /* what components (below) would be without the duplicate nodes */
     sfem_int overlapping; /* faces with two tets on one side: tets twice, or through one another */
     /* shape, over the tets without a fault of the first three kinds */
     sfem_real volume, min_volume, max_volume; /* m^3, signed */
@@ -360,6 +448,14 @@ SFEM_DEF sfem_status sfem_mesh_surface(const sfem_mesh *mesh, const sfem_allocat
                                        sfem_surface *out, sfem_error *err);
 SFEM_DEF void sfem_surface_free(sfem_surface *surface); /* as sfem_mesh_free */
 
+/* Normals of a surface for rendering, at positions x [nodes][3] (NULL = surface->x): the sum of the area vectors of a
+ * node's triangles, as a unit vector; zero at nodes of no triangle, and where the sum is zero. Those of
+ * sfem_mesh_surface point outwards.
+ *   normal  three floats for node i at i stride bytes from the first
+ *   cost    O(nodes + triangles); nothing is allocated */
+SFEM_DEF void sfem_surface_normals(const sfem_surface *surface, const sfem_real *x, sfem_int nodes, float *normal,
+                                   size_t stride);
+
 /* Connected components by shared nodes, numbered from 0 by their lowest nodes: label[i] is that of node i, -1 if no tet
  * uses it. count may be NULL. SFEM_BAD_MESH for a node number out of
  * range. O(nodes + tets) in practice [union-find with path halving, Tarjan, van Leeuwen 1984];
@@ -375,14 +471,23 @@ SFEM_DEF sfem_status sfem_mesh_components(const sfem_mesh *mesh, sfem_int *label
  *   cost        O(nodes + tets); scratch from the mesh's allocator */
 SFEM_DEF sfem_status sfem_mesh_renumber(sfem_mesh *mesh, sfem_int *new_of_old, sfem_error *err);
 
-/* The largest difference of two node numbers in one tet. */
-SFEM_DEF sfem_int sfem_mesh_bandwidth(const sfem_mesh *mesh);
-
 /* Removes the nodes that no tet uses. The others keep their order, the arrays their place.
  *   new_of_old  [nodes before], or NULL: the new number of each node, -1 if it is gone
  *   errors      SFEM_BAD_MESH, SFEM_OUT_OF_MEMORY; the mesh is then as it was */
 SFEM_DEF sfem_status sfem_mesh_remove_unused(sfem_mesh *mesh, sfem_int *new_of_old,
                                              sfem_error *err);
+
+/* Welds nodes that are at one place: each node goes to the lowest one that is kept and at most `distance` away, m; 0:
+ * at exactly the same coordinates. Joins parts that meet in duplicate nodes (sfem_mesh_report.seam). The others keep
+ * their order, the arrays their place.
+ *   new_of_old  [nodes before], or NULL: the new number of each node
+ *   welded      or NULL: how many nodes are gone
+ *   errors      SFEM_BAD_ARGUMENT (distance), SFEM_BAD_MESH (node number out of range; a tet that would lose its shape,
+ *               err->tet: the distance is above its edges), SFEM_NOT_FINITE, SFEM_OUT_OF_MEMORY; the mesh is then as it
+ *               was
+ *   cost        O(nodes log nodes + tets); scratch from the mesh's allocator */
+SFEM_DEF sfem_status sfem_mesh_weld(sfem_mesh *mesh, sfem_real distance, sfem_int *new_of_old, sfem_int *welded,
+                                    sfem_error *err);
 
 /* PICKING, in a mesh that passed sfem_mesh_check, at current positions x [nodes][3] (NULL = rest).
  * Both return 1 and fill the outputs (any may be NULL), or return 0 and do not write them. bary [4] is >= 0 and sums to
@@ -399,6 +504,24 @@ SFEM_DEF int sfem_mesh_pick_ray(const sfem_mesh *mesh, const sfem_real *x,
 SFEM_DEF int sfem_mesh_locate(const sfem_mesh *mesh, const sfem_real *x, const sfem_real point[3],
                               sfem_int *tet, sfem_real bary[4]);
 
+/* PATCHES for sfem_body_grab_region and sfem_modal_grab_region: the nodes less than radius away from a point, in
+ * ascending order, with weights that add up to 1,
+ *   weight_i = a_i (1 - d_i^2/radius^2)^2 / sum,   d_i the distance, a_i a third of the area of the node's triangles,
+ *                                                  or a fourth of the volume of its tets
+ * so that neither the edge of the patch nor the density of the mesh shows in what pulls at it. Where no node is that
+ * near, the nearest one alone.
+ *   room    of node and weight [room], >= 1; *count: how many there are
+ *   errors  SFEM_BAD_ARGUMENT (radius, room, no tets), SFEM_NOT_FINITE (point), SFEM_FULL (more than room: *count tells
+ *           how many), SFEM_BAD_MESH (node number of a tet or triangle), SFEM_OUT_OF_MEMORY
+ *   cost    O(nodes + triangles or tets); scratch from the mesh's allocator */
+typedef struct sfem_patch {
+    const sfem_real *x;          /* [nodes][3] current positions, m; NULL: at rest */
+    sfem_real point[3], radius;  /* m; radius >= 0 */
+    const sfem_surface *surface; /* of sfem_mesh_surface: its nodes only; NULL: all nodes in tets */
+} sfem_patch;
+SFEM_DEF sfem_status sfem_mesh_near(const sfem_mesh *mesh, const sfem_patch *patch, sfem_int room, sfem_int *node,
+                                    sfem_real *weight, sfem_int *count, sfem_error *err);
+
 #ifndef SFEM_NO_MESHIO
 /* ============================================================================================
  * >>api-meshio   files
@@ -406,29 +529,37 @@ SFEM_DEF int sfem_mesh_locate(const sfem_mesh *mesh, const sfem_real *x, const s
 
 /* READING. Which format it is shows in the data itself, TetGen's in the name:
  *   Gmsh 2.0 to 2.2 and 4.1 (.msh)  ASCII and binary, in either order of bytes, 2.2 with doubles or
- *                            floats; node tags in any order and with gaps; 4-node tets (type 4);
+ *                            floats; 4.1 also partitioned; node tags in any order and with gaps;
  *                            region is the first physical group of the tet, in 4.1 of its volume (0
- *                            without one), if any has one, else the number of its entity
- *   VTK legacy ASCII (.vtk)  unstructured grids of versions 1.0 to 5.1; tets (type 10); no region
- *   Medit ASCII (.mesh)      format versions 1 to 4 (as text they are the same), dimension 3;
- *                            region is the reference of the tet; keywords in either case, Vertices
- *                            before Tetrahedra, all others passed over, End may be missing
+ *                            without one), if any has one, else the number of its entity. A tet of 2.2 that
+ *                            stands twice in a row, in two groups, is one
+ *   VTK legacy (.vtk)        unstructured grids of versions 1.0 to 5.1, ASCII and binary
+ *   VTK XML (.vtu)           of one piece; data in ASCII, base64 or raw, inline or appended, in either order of bytes,
+ *                            not compressed. Region of both: the first cell array called region, medit:ref,
+ *                            gmsh:physical, gmsh:geometrical, CellEntityIds, material or MaterialId, if any
+ *   Medit (.mesh, .meshb)    ASCII and binary in either order of bytes, format versions 1 to 4,
+ *                            dimension 3; region is the reference of the tet; keywords in either
+ *                            case, Vertices before Tetrahedra, all others passed over, End may be
+ *                            missing
+ *   Abaqus (.inp)            one part, without a moved instance: *NODE; *ELEMENT of C3D4 and its kin; *NSET, *ELSET,
+ *                            also GENERATE; *SOLID SECTION, *MATERIAL with an isotropic *ELASTIC and *DENSITY.
+ *                            Region is the number of the last *SOLID SECTION with the tet, from 0 (-1 without one);
+ *                            without any in the file that of its ELSET= among those of *ELEMENT, from 0
  *   Vega (.veg)              *ELEMENTS TET; region is the material's number, from 0 in the order of
  *                            *MATERIAL, by the last *REGION with the tet in its *SET (-1 if none
- *                            has; NULL without any); its constants are not read. sfem_mesh_read
- *                            follows *INCLUDE to files beside this one or below it, 16 at most; a
- *                            count has to stand in one file with what it counts
- *   TetGen (.node and .ele)  region is the first attribute of the tet, a whole number; attributes
- *                            and markers of nodes are passed over
- * The last two are numbered from 0, from 1 or from elsewhere, without gaps; the last three may have
- * comments (# to the end of the line). Cells that are not 4-node tets are skipped in Gmsh, VTK and
- * Medit files, and refused in the others, which hold one kind only. Nodes stand in the file's order, numbered from
- * 0, with those that no tet uses (sfem_mesh_remove_unused takes them out). Left-handed tets are
- * turned, as by sfem_mesh_orient; flat ones and the like are left for sfem_mesh_check to find.
+ *                            has; NULL without any). A count has to stand in one file with what it
+ *                            counts
+ *   TetGen (.node and .ele)  region is the first attribute of the tet, a whole number
+ * sfem_mesh_read follows *INCLUDE of the Abaqus and Vega files to files beside this one or below it, 16 at most.
+ * The last two are numbered from 0, from 1 or from elsewhere, without gaps; all with keywords may have
+ * comments (# to the end of the line, ** of Abaqus). Cells that are not tets are skipped in files that can hold
+ * others, and refused in the last two; for 10-node tets see sfem_mesh_read_def. Nodes stand in the file's
+ * order, numbered from 0, with those that no tet uses (sfem_mesh_remove_unused takes them out). Left-handed
+ * tets are turned, as by sfem_mesh_orient; flat ones and the like are left for sfem_mesh_check to find.
  * Numbers are read exactly, whatever the locale: the double nearest to the text.
  *   errors  SFEM_FORMAT      another format or version, or not what the format says; err->line, in
  *                            binary files -1, while the text tells the byte
- *           SFEM_BAD_MESH    a tet that names a node that is not there (err->line), no tets at all
+ *           SFEM_BAD_MESH    a tet that names a node that is not there (err->line), no tets at all, 10-node tets
  *           SFEM_NOT_FINITE  a coordinate that is NaN or infinite, or overflows; err->line
  *           SFEM_TOO_LARGE, SFEM_OUT_OF_MEMORY, and for a file SFEM_IO
  *   cost    O(bytes). Memory follows the data that is there, not the counts that it claims. */
@@ -443,17 +574,83 @@ SFEM_DEF sfem_status sfem_mesh_parse_tetgen(const void *node, size_t node_bytes,
                                             size_t ele_bytes, const sfem_allocator *allocator,
                                             sfem_mesh *out, sfem_error *err);
 
+/* SETS AND REGIONS, by name, with options. */
+
+typedef struct sfem_mesh_read_def {
+    int linear;     /* 10-node tets are read as 4-node ones, without the nodes in the middle of their edges, which go with
+                     * all nodes that no tet uses. Default 0: a file with such tets is refused with their number */
+    int weld;       /* nodes at most weld_distance apart become one (sfem_mesh_weld). Default 0 */
+    sfem_real weld_distance; /* m; default 0: exactly at one place */
+    sfem_allocator allocator;
+} sfem_mesh_read_def;
+SFEM_DEF sfem_mesh_read_def sfem_default_mesh_read_def(void);
+
+/* Some nodes, or some tets. */
+typedef struct sfem_set {
+    const char *name;       /* the file's; never NULL */
+    int of_tets;            /* members are tets (1) or nodes (0) */
+    sfem_int count;
+    const sfem_int *member; /* [count] ascending, each once */
+} sfem_set;
+
+/* What the file says about the tets with one number in mesh->region. */
+typedef struct sfem_region {
+    sfem_int number, tets;
+    const char *name;     /* the file's, or the number as text; never NULL */
+    const char *material; /* the name of its material, or "" */
+    int has_elastic, has_density; /* the file gives the two, or the one, next */
+    sfem_real young, poisson;     /* Pa, - */
+    sfem_real density;            /* kg/m^3; as they stand in the file, of any value */
+} sfem_region;
+
+typedef struct sfem_mesh_sets {
+    sfem_int sets, regions;
+    sfem_set *set;       /* [sets] in the order of the file */
+    sfem_region *region; /* [regions] one of each number in mesh->region, in the order of their first tets; none without
+                          * it */
+    sfem_allocator allocator;
+    void *memory; /* private: all of it */
+} sfem_mesh_sets;
+SFEM_DEF void sfem_mesh_sets_free(sfem_mesh_sets *sets); /* as sfem_mesh_free */
+
+/* The first of that name (capitals count as small letters), or NULL. A region is found by its number as text, too. */
+SFEM_DEF const sfem_set *sfem_mesh_sets_find(const sfem_mesh_sets *sets, const char *name, int of_tets);
+SFEM_DEF const sfem_region *sfem_mesh_sets_region(const sfem_mesh_sets *sets, const char *name);
+
+/* What was done to the file's mesh. */
+typedef struct sfem_mesh_read_info {
+    sfem_int swapped;   /* left-handed tets, whose last two nodes were swapped */
+    sfem_int linear;    /* 10-node tets read as 4-node ones */
+    sfem_int removed;   /* nodes left out with them */
+    sfem_int welded;    /* nodes that became one with another */
+    sfem_int triangles; /* of the file; quadrilaterals count as two */
+    sfem_int others;    /* volume cells that are no tets: hexahedra and the like, left out */
+} sfem_mesh_read_info;
+
+/* As sfem_mesh_parse and sfem_mesh_read; sets and info may be NULL. What becomes a set, besides the regions:
+ *   Gmsh      each physical group: of volumes the tets, of others the nodes of their elements. Without a name a group
+ *             of the last three is called point, curve or surface and its number: "surface 5"
+ *   VTK, VTU  nodes of the vertices, lines and polygons with the same region number other than 0: "surface 5"
+ *   Medit     nodes of a reference other than 0: "point 5"; of edges and triangles of one: "curve 5", "surface 5"
+ *   Abaqus    *NSET and *ELSET, also NSET= and ELSET= of *NODE and *ELEMENT. An *ELSET of other elements than tets is a
+ *             set of their nodes
+ *   Vega      *SET, of tets
+ *   TetGen    nodes with one marker other than 0: "point 5"
+ *   errors    also those of sfem_mesh_weld; SFEM_TOO_LARGE: sets of more than 4 members a byte of the file */
+SFEM_DEF sfem_status sfem_mesh_parse_sets(const void *data, size_t bytes, const sfem_mesh_read_def *def, sfem_mesh *out,
+                                          sfem_mesh_sets *sets, sfem_mesh_read_info *info, sfem_error *err);
+
 /* SURFACES, of which sfem_mesh_from_surface makes tets. Which format it is shows in the data itself:
  *   Wavefront (.obj)   v and f, with numbers from 1 or from the end; all else is passed over
  *   STL (.stl)         ASCII and binary; vertices at exactly one place become one
  *   PLY (.ply)         ASCII and binary, in either order of bytes; x, y, z of element vertex, the list vertex_indices
  *                      (or vertex_index) of element face, other properties passed over
  *   OFF (.off)         ASCII, 3-dimensional; also COFF, NOFF and the like, whose extras are passed over
+ *   Gmsh, VTK, VTU, Medit, Abaqus   the triangles and quadrilaterals of a mesh file, of second order as flat ones
  * Polygons are cut into fans from their first vertex. Holes, doubled or flipped triangles and the like are left for
  * sfem_mesh_from_surface to repair. Fills x, nodes, tri, triangles.
  *   errors  as sfem_mesh_parse; SFEM_BAD_MESH: no faces
- *   cost    O(bytes), of STL O(bytes log bytes). Memory follows the data that is there, not the counts that it
- *   claims. */
+ *   cost    O(bytes), of STL O(bytes log bytes). Memory follows the data that is there, not the counts that it claims */
 SFEM_DEF sfem_status sfem_surface_parse(const void *data, size_t bytes, const sfem_allocator *allocator,
                                         sfem_surface *out, sfem_error *err);
 
@@ -464,6 +661,8 @@ SFEM_DEF sfem_status sfem_surface_read(const char *path, const sfem_allocator *a
 /* From a file, which is read whole; with x.node or x.ele, from both of them. */
 SFEM_DEF sfem_status sfem_mesh_read(const char *path, const sfem_allocator *allocator,
                                     sfem_mesh *out, sfem_error *err);
+SFEM_DEF sfem_status sfem_mesh_read_sets(const char *path, const sfem_mesh_read_def *def, sfem_mesh *out,
+                                         sfem_mesh_sets *sets, sfem_mesh_read_info *info, sfem_error *err);
 
 /* WRITING. Text has a decimal point in any locale, and as many digits (15 or 17) as bring the same
  * double back. A file that exists is overwritten; SFEM_IO tells if it could not be opened or not be
@@ -529,6 +728,10 @@ typedef struct sfem_mesher_def {
     sfem_int tets;         /* wanted, where size is 0; default 5000. Met within 15 % (tested at 2000 and 9000). The number
                             * of small bodies, and of plates of one layer, may jump past it: the nearest is taken */
     sfem_exec exec;        /* threads; the mesh has the same bits for any number of them */
+    void (*progress)(sfem_real part, void *user); /* or NULL: called by the calling thread with the part of the work that
+                                                   * is done, an estimate: from 0, never less than before, 1 at the
+                                                   * end */
+    void *progress_user;
     sfem_allocator allocator;
 } sfem_mesher_def;
 SFEM_DEF sfem_mesher_def sfem_default_mesher_def(void);
@@ -580,11 +783,14 @@ SFEM_DEF sfem_status sfem_mesh_from_sdf(const sfem_mesher_def *def, sfem_sdf f, 
  * sfem_model_def's materials and material_count = SFEM_CAGE_LEVELS + 1, while tet_material stays NULL.
  *   errors  SFEM_BAD_ARGUMENT (least); O(1), allocates nothing */
 #define SFEM_CAGE_LEVELS 20
+#ifndef SFEM_NO_MODEL
 struct sfem_material; /* >>api-model */
 SFEM_DEF sfem_status sfem_cage_materials(const struct sfem_material *base, sfem_real least,
                                          struct sfem_material *out /* [SFEM_CAGE_LEVELS + 1] */, sfem_error *err);
+#endif
 #endif /* SFEM_NO_MESHER */
 
+#ifndef SFEM_NO_MODEL
 /* ============================================================================================
  * >>api-matrix   symmetric matrices of 3x3 blocks, and what solves with them
  * ============================================================================================ */
@@ -823,12 +1029,9 @@ SFEM_DEF sfem_real sfem_law_energy(sfem_law law, sfem_real lambda, sfem_real mu,
 SFEM_DEF sfem_real sfem_law_stress(sfem_law law, sfem_real lambda, sfem_real mu,
                                    const sfem_real f[9], sfem_real p[9]);
 
-/* tangent[9*a+b] = dP_a/dF_b, symmetric; and its product with one dF: dP. */
+/* tangent[9*a+b] = dP_a/dF_b, symmetric. */
 SFEM_DEF void sfem_law_tangent(sfem_law law, sfem_real lambda, sfem_real mu, const sfem_real f[9],
                                sfem_tangent kind, sfem_real tangent[81]);
-SFEM_DEF void sfem_law_differential(sfem_law law, sfem_real lambda, sfem_real mu,
-                                    const sfem_real f[9], sfem_tangent kind, const sfem_real df[9],
-                                    sfem_real dp[9]);
 
 /* The tet of nodes x [4][3] (rest, m, right-handed, not flat) displaced by u [4][3]: its
  * energy, J, the gradient of it, force [4][3], N, and the gradient of that, k [12][12], N/m.
@@ -955,6 +1158,14 @@ SFEM_DEF const sfem_real *sfem_model_node_mass(const sfem_model *model);   /* [n
 SFEM_DEF const sfem_real *sfem_model_tet_volume(const sfem_model *model);  /* [tets] m^3 */
 SFEM_DEF sfem_real sfem_model_total_mass(const sfem_model *model);         /* kg */
 
+/* Do these numbers look like metres, kilograms and seconds? Remarks on what is likely to be a mistake of units: a body
+ * of more than 100 m or less than 1 mm, a density below 5 or above 25 000 kg/m^3, a modulus below 10 or above 2e12 Pa,
+ * a body that would sink into itself under its weight on Earth, a Poisson ratio above 0.49, a step h above 0.1 s (0:
+ * not looked at). Nothing else asks for it, and none of them is an error: other consistent units are as good.
+ *   text     [size] or NULL: the remarks, a line each, as many as fit
+ *   returns  how many there are; O(nodes + tets), allocates nothing */
+SFEM_DEF int sfem_model_advice(const sfem_model *model, sfem_real h, char *text, size_t size);
+
 /* out = k K + m M + d D, a new matrix on K's pattern; free it with sfem_matrix_free. (k,m,d) = (0,1,0) gives M, (0,0,1)
  * D, (p h^2, r, q h/2) the matrix that (p,q,r) factors. Of smooth tets K is K0 here, in D too. */
 SFEM_DEF sfem_status sfem_model_combine(const sfem_model *model, sfem_real k, sfem_real m, sfem_real d,
@@ -1033,7 +1244,9 @@ SFEM_DEF void sfem_add_traction(const sfem_mesh *mesh, const sfem_real *x, sfem_
 SFEM_DEF void sfem_add_pressure(const sfem_mesh *mesh, const sfem_real *x, sfem_int count,
                                 const sfem_int *tri, sfem_real p, sfem_real *force);
 
-#ifndef SFEM_NO_BODY
+#endif /* SFEM_NO_MODEL */
+
+#ifndef SFEM_NO_DAMAGE
 /* ============================================================================================
  * >>api-damage   fracture on the edge graph
  * ============================================================================================ */
@@ -1093,6 +1306,9 @@ typedef struct sfem_damage_def {
     const sfem_real *region_factor; /* [region_count] > 0, or NULL, by the mesh's region of a tet */
     sfem_int region_count;
     const unsigned char *unbreakable; /* [tets] or NULL: edges of tets marked 1 never break */
+    int protect_handles;         /* 1, the default: edges of tets with a node that a handle holds do not break of
+                                  * themselves while it is held, blades and sfem_body_break_edge break them; 0: they
+                                  * do. A node that is pulled alone stretches its own edges most, and is torn off */
     const sfem_int *line;        /* [line_count][2] nodes of edges with a factor of their own */
     sfem_int line_count;
     sfem_real line_factor;       /* 0 means 1 */
@@ -1104,7 +1320,7 @@ typedef struct sfem_damage_def {
                             * one; up to upright[1] the energies are blended. 0, 0 means 0.05, 0.25 */
 } sfem_damage_def;
 
-/* Condensed, by energy, Gc 100 J/m^2, share 2/3. */
+/* Condensed, by energy, Gc 100 J/m^2, share 2/3; handles are protected. */
 SFEM_DEF sfem_damage_def sfem_default_damage_def(void);
 
 /* One tet by its edges. T is invertible unless the tet is flat: |det T| = (6V)^4 / prod L^2. */
@@ -1122,10 +1338,6 @@ typedef struct sfem_damage_tet {
 /* x [4][3], m, right-handed and not flat. */
 SFEM_DEF void sfem_damage_prepare(const sfem_real x[12], sfem_real lambda, sfem_real mu,
                                   sfem_damage_tet *out);
-/* The source's operators [eqs. 16, 17]: A1 [12][6] = (dl/du)^T, l the changes of length, A2 [6][6]
- * = (d eps/dl)^T, B [6][12] = A2^T A1^T; T B = diag(1/L) A1^T. Any may be NULL. */
-SFEM_DEF void sfem_damage_operators(const sfem_damage_tet *tet, sfem_real *a1, sfem_real *a2,
-                                    sfem_real *b);
 /* S_d [6][6], Pa, of zeta [6] in [0, 1]. It depends on zeta alone: healing is as exact as breaking. */
 SFEM_DEF void sfem_damage_modulus(const sfem_damage_tet *tet, sfem_damage_law law,
                                   const sfem_real zeta[6], sfem_real s_d[36]);
@@ -1169,6 +1381,9 @@ typedef struct sfem_piece {
     sfem_real box[2][3];    /* m */
 } sfem_piece;
 
+#endif /* SFEM_NO_DAMAGE */
+
+#ifndef SFEM_NO_BODY
 /* ============================================================================================
  * >>api-body   a body that moves
  * ============================================================================================ */
@@ -1318,7 +1533,7 @@ typedef struct sfem_body_def {
     sfem_frame frame;         /* (p,q,r) of nonlinear laws */
     int safeguard;            /* 1, the default: a step that would make energy is rejected; 0: every step is taken as it
                                * comes, even if it makes energy */
-    const sfem_damage_def *damage; /* the body can break (>>api-damage); (p,q,r) and central differences, lumped mass.
+    const struct sfem_damage_def *damage; /* the body can break (>>api-damage); (p,q,r) and central differences, lumped mass.
                                * NULL, the default: it cannot, at no cost. Read by create only */
     sfem_real accuracy;       /* (p,q,r) of nonlinear laws, in (0, 1]. A step is corrected until one
                                * more correction is expected to gain less than this part of the energy in motion (the
@@ -1341,8 +1556,11 @@ typedef struct sfem_body_def {
     const sfem_int *pins;     /* [pin_count] nodes eliminated from the matrix; copied */
     const unsigned char *pin_axes; /* [pin_count] which axes are held, SFEM_AXIS_*; NULL: all */
     sfem_int pin_count;
-    sfem_int max_handles;     /* handles at a time; each one in use takes 72 bytes a node, in a body that rotates up
-                               * to 4 times that */
+    sfem_int max_handles;     /* handles at a time; each one in use takes 72 bytes a node */
+    sfem_int max_handle_nodes; /* nodes in all their regions, 512; at least 4 max_handles. 12 bytes each of state */
+    sfem_real handle_compliance; /* eps, 1e-8 to 1e3, 1e-2 by default: a handle yields eps times as much as a cube of the
+                               * body's volume and stiffness; or 0: not at all, a constraint. See HANDLES */
+    sfem_real handle_max_force;  /* N, >= 0: no handle pulls harder; 0, the default: no limit */
     sfem_real sleep_tolerance; /* m/s, >= 0; 0, the default: never sleeps. See sfem_body_is_asleep */
     sfem_real sleep_time;      /* s, >= 0: how long it has to be calm; 0.5 */
     sfem_precision precision;
@@ -1354,7 +1572,7 @@ typedef struct sfem_body_def {
     sfem_exec exec;
 } sfem_body_def;
 
-/* (p,q,r) with p = SFEM_P_SAFE, q = r = 1; Newmark 1/4, 1/2; gravity 0; 16 handles. */
+/* (p,q,r) with p = SFEM_P_SAFE, q = r = 1; Newmark 1/4, 1/2; gravity 0; 16 handles of compliance 1e-2. */
 SFEM_DEF sfem_body_def sfem_default_body_def(void);
 
 /* Creates a body at rest in its rest position. Nothing is factored yet. O(nodes).
@@ -1416,14 +1634,16 @@ SFEM_DEF sfem_status sfem_body_add_impulse(sfem_body *body, sfem_int node, const
 SFEM_DEF int sfem_body_is_asleep(const sfem_body *body);
 SFEM_DEF void sfem_body_wake(sfem_body *body);
 
+#ifndef SFEM_NO_NEWTON
 /* How the last step of a Newton method (SFEM_BATHE: its two systems together) or nonlinear static solution went, failed
  * ones too. All zero before the first. */
 SFEM_DEF sfem_newton_info sfem_body_newton(const sfem_body *body);
+#endif
 
 /* Static equilibrium f(u) = F under the present forces, gravity, pins and handles; velocities become zero. Handles that
- * are nodes count as pins here. Linear bodies take one solve. Others take Newton's iteration from the present u, in
- * steps of the load that are halved where one fails (sfem_newton_def; sfem_body_newton tells how it went). There may be
- * several equilibria; the result is one of them.
+ * are nodes and do not yield count as pins here. Linear bodies take one solve. Others take Newton's iteration from the
+ * present u, in steps of the load that are halved where one fails (sfem_newton_def; sfem_body_newton tells how it
+ * went). There may be several equilibria; the result is one of them.
  *   errors  SFEM_NOT_SPD: "node 17 is held by nothing" and the like; SFEM_NOT_CONVERGED (how much of
  *           the load was reached), SFEM_NOT_FINITE, SFEM_OUT_OF_MEMORY: the state is as it was */
 SFEM_DEF sfem_status sfem_body_solve_static(sfem_body *body, sfem_error *err);
@@ -1431,9 +1651,19 @@ SFEM_DEF sfem_status sfem_body_solve_static(sfem_body *body, sfem_error *err);
 /* Loads. force [nodes][3] (NULL: none) is the load at the end of the next step and stays until changed;
  * before the first step it is the load at the start as well, unless sfem_body_start is called between
  * the two: it fixes the load, and the acceleration, at time 0. */
-SFEM_DEF sfem_status sfem_body_set_force(sfem_body *body, const sfem_real *force, sfem_error *err);
-SFEM_DEF sfem_status sfem_body_add_node_force(sfem_body *body, sfem_int node, const sfem_real f[3],
-                                              sfem_error *err);
+SFEM_DEF sfem_status sfem_body_set_lasting_force(sfem_body *body, const sfem_real *force, sfem_error *err);
+SFEM_DEF sfem_status sfem_body_add_lasting_force(sfem_body *body, sfem_int node, const sfem_real f[3],
+                                                 sfem_error *err);
+/* Adds a force that acts during the next step alone. It is constant over that step, and changes the momentum by f h
+ * exactly, whatever the integrator, also in rejected steps: like sfem_body_add_impulse of f h. It wakes a sleeping
+ * body. It waits for a step that succeeds, and is part of the saved state. Static solutions, and the energy and
+ * reactions between steps, do not see it.
+ *   (p,q,r) and its kin take it as an impulse at the start of the step: the mean velocity of the step, by which nodes
+ *   move, has all of it; sfem_body_velocities, half a step on, up to 3/2 of it until the next step. Newton's methods
+ *   and Newmark hold it constant over the step.
+ *   errors  SFEM_BAD_ARGUMENT (no such node; between sfem_body_predict and _finish: add it to sfem_body_rhs),
+ *           SFEM_NOT_FINITE */
+SFEM_DEF sfem_status sfem_body_add_step_force(sfem_body *body, sfem_int node, const sfem_real f[3], sfem_error *err);
 SFEM_DEF sfem_status sfem_body_set_gravity(sfem_body *body, const sfem_real g[3], sfem_error *err);
 SFEM_DEF void sfem_body_start(sfem_body *body);
 
@@ -1446,13 +1676,23 @@ SFEM_DEF void sfem_body_velocities(const sfem_body *body, sfem_real *v);
 /* The same as floats, for rendering: those of node i are at i stride bytes from the first. Either may be NULL.
  * Allocates nothing. */
 SFEM_DEF void sfem_body_to_floats(const sfem_body *body, float *x, float *v, size_t stride);
+/* sfem_surface_normals of the present positions; surface: that of the body's mesh, or a part of it. */
+SFEM_DEF void sfem_body_normals(const sfem_body *body, const sfem_surface *surface, float *normal, size_t stride);
 SFEM_DEF sfem_status sfem_body_set_state(sfem_body *body, const sfem_real *u, const sfem_real *v,
                                          sfem_error *err);
+/* The rest shape, rotated about the origin and then moved, at rest: x = R X + t. All nodes move, pinned ones too, and
+ * their pins hold them there. Else as sfem_body_set_state: handles keep their targets, what is broken stays broken.
+ *   rotation     R by rows, or NULL: none; a proper rotation to 1e-6, of which the nearest exact one is taken
+ *   translation  t, m, or NULL: none
+ *   errors       SFEM_NOT_FINITE; SFEM_BAD_ARGUMENT: R is not a rotation; R turns a body with tets of the linear law,
+ *                or with SFEM_FRAME_REST, which do not know rotations. The state is then as it was */
+SFEM_DEF sfem_status sfem_body_place(sfem_body *body, const sfem_real rotation[9], const sfem_real translation[3],
+                                     sfem_error *err);
 SFEM_DEF sfem_real sfem_body_time(const sfem_body *body); /* s */
 
 /* The whole state as one block of bytes. Load it with the same build, on a like machine, into any body of the same
- * model, pins and max_handles. A block that does not fit is an error, and so is one whose checksum is wrong or whose
- * numbers no body can have: a block that was loaded is safe to use, wherever it comes from.
+ * model, pins, max_handles and max_handle_nodes. A block that does not fit is an error, and so is one whose checksum is
+ * wrong or whose numbers no body can have: a block that was loaded is safe to use, wherever it comes from.
  *   errors  SFEM_FORMAT (not a state, damaged), SFEM_MISMATCH (of another body) */
 SFEM_DEF size_t sfem_body_state_size(const sfem_body *body);
 SFEM_DEF void sfem_body_save_state(const sfem_body *body, void *memory);
@@ -1509,7 +1749,7 @@ SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *body);
  *
  * A step does def.refactorise times the operations of a step of one solve. Operations are counted, not timed, so runs
  * repeat bit for bit on any number of threads. The finished factor is taken over between two steps; w, the forces and
- * the energy budget stay. Handles then cost three solves for each of their nodes. A second request starts over. A
+ * the energy budget stay. Handles then cost three solves each. A second request starts over. A
  * matrix that is not positive definite is dropped and counted as failed.
  *   cost    of all: that of 10 to 20 corrections
  *   memory  two factors, three matrices; sfem_body_prepare allocates them; nothing else allocates
@@ -1541,21 +1781,47 @@ SFEM_DEF sfem_status sfem_body_move_pin(sfem_body *body, sfem_int node, const sf
                                         sfem_error *err);
 SFEM_DEF void sfem_body_reactions(sfem_body *body, sfem_real *force /* [nodes][3] */);
 
-/* Handles take hold of a node, or of a point inside a tet (barycentric coordinates), while the body runs,
- * without a new factor: with H the 3 rows of a handle, u' = u0' + A^-1 H^T l where H x' is the target.
- * A handle's number stays its own until it is released. The force is that of the handle on the body over
- * the last step, N. Handles that others already determine (five points of one tet) carry no force.
- *   errors  SFEM_FULL past max_handles: pin the nodes instead; SFEM_BAD_ARGUMENT (pinned node, ...) */
+/* HANDLES take hold of a node, of a point inside a tet (barycentric coordinates), or of the weighted mean of the nodes
+ * of a region, while the body runs, without a new factor: with H the 3 rows of a handle, u' = u0' + A^-1 H^T l. A
+ * single node of a soft body draws a needle out of it; a region (sfem_mesh_near picks the nodes) does not. A handle
+ * takes hold where it is: that place is its target until moved. Its number stays its own until it is released. The
+ * force l is that of the handle on the body over the last step, N; node k of a region carries weight[k] of it.
+ *   def.handle_compliance = eps > 0, 1e-2 by default: a handle is a spring and a damper on its target t,
+ *     t - x = C l + tau x',   C = eps/(E V^(1/3)), m/N,   tau = 2 sqrt(C m)
+ * E Young's modulus (harmonic mean), V the volume, m the mass of the whole body: C is eps times the compliance of a
+ * cube of that volume, whatever the mesh, the step and what else is held. It is critically damped with all of the
+ * body's mass: behind a target that moves at v it lags by tau v, 3 mm at 0.5 m/s for a bar of 0.8 m, 32 kg and 1e5 Pa.
+ * Forces from noise, jumps and contradictions of targets stay bounded as steps shrink. A target that stands still gives
+ * no energy, except with KR-alpha, Gui's and Chang's method on nonlinear bodies, which may gain some, as they may under
+ * constraints (tests/test_region.c). Static solutions have tau = 0.
+ *   eps = 0: constraints, x = t to rounding at the end of each step, whatever force that takes; 1 mm of noise is
+ * v = 1 mm/h. Handles that others already determine (five points of one tet) then carry no force.
+ *   def.handle_max_force = F > 0: |l| <= F. A target out of reach is followed with F in its direction, and the
+ * handle slips. eps is then 1e-6 at least. A static solution needs what is held to balance the loads with such forces.
+ *   weight  [count] shares that sum to 1, or NULL: equal. Nodes may stand in several regions
+ *   cost    three solves when taken (in sfem_body_prepare), one sum over three columns in a solve
+ *   errors  SFEM_FULL past max_handles or max_handle_nodes: pin the nodes instead; SFEM_BAD_ARGUMENT (all nodes pinned,
+ *           in no tet, weights; no such handle to move), SFEM_NOT_FINITE */
 SFEM_DEF sfem_status sfem_body_grab_node(sfem_body *body, sfem_int node, sfem_int *handle,
                                          sfem_error *err);
 SFEM_DEF sfem_status sfem_body_grab_point(sfem_body *body, sfem_int tet, const sfem_real bary[4],
                                           sfem_int *handle, sfem_error *err);
+SFEM_DEF sfem_status sfem_body_grab_region(sfem_body *body, sfem_int count, const sfem_int *node,
+                                           const sfem_real *weight, sfem_int *handle, sfem_error *err);
 SFEM_DEF sfem_status sfem_body_move_handle(sfem_body *body, sfem_int handle, const sfem_real target[3],
                                            sfem_error *err);
 SFEM_DEF void sfem_body_release_handle(sfem_body *body, sfem_int handle);
 SFEM_DEF void sfem_body_handle_force(const sfem_body *body, sfem_int handle, sfem_real force[3]);
 SFEM_DEF void sfem_body_handle_position(const sfem_body *body, sfem_int handle, sfem_real x[3]);
+typedef struct sfem_handle_info {
+    sfem_int nodes;
+    sfem_real x[3], target[3], force[3]; /* m, m, N */
+    sfem_real compliance, tau; /* C, m/N; s. 0: a constraint */
+    int slips;                 /* the force is at its limit */
+} sfem_handle_info;
+SFEM_DEF sfem_handle_info sfem_body_get_handle(const sfem_body *body, sfem_int handle);
 
+#ifndef SFEM_NO_DAMAGE
 /* Fracture, of a body made with a damage definition (>>api-damage). On other bodies these functions trip SFEM_ASSERT,
  * except sfem_body_fracture. At the end of each step edges are tested once, at its midpoint. An edge breaks only where
  * that does not make energy, so fracture never makes any, whatever the step. The factor of the intact body stays in use
@@ -1627,6 +1893,7 @@ SFEM_DEF void sfem_fragments_free(sfem_fragments *fragments); /* NULL allowed */
 /* Present positions of its vertices, x [vertices][3], m: the mean of their nodes, or, where only some of the nodes
  * belong to them, moved and rotated with the intact edges of these. Call it between steps; allocates nothing. */
 SFEM_DEF void sfem_body_fragment_positions(sfem_body *body, const sfem_fragments *fragments, sfem_real *x);
+#endif /* SFEM_NO_DAMAGE */
 
 #endif /* SFEM_NO_BODY */
 
@@ -1743,6 +2010,7 @@ typedef enum sfem_warp { SFEM_WARP_NONE, SFEM_WARP_ROTATION, SFEM_WARP_PATH } sf
 
 typedef struct sfem_reduced sfem_reduced;
 
+#ifndef SFEM_NO_MODES
 typedef struct sfem_reduced_def {
     uint32_t cookie; /* set by sfem_default_reduced_def; a definition made otherwise is refused */
     sfem_real mass_damping, stiffness_damping; /* alpha, 1/s, and beta, s, >= 0: c = alpha + beta lambda */
@@ -1766,6 +2034,7 @@ SFEM_DEF sfem_reduced_def sfem_default_reduced_def(void); /* undamped, free -1, 
 SFEM_DEF sfem_status sfem_reduced_create(sfem_model *model, const sfem_modes *modes,
                                          const sfem_reduced_def *def, sfem_reduced **out,
                                          sfem_error *err);
+#endif /* SFEM_NO_MODES */
 SFEM_DEF void sfem_reduced_free(sfem_reduced *reduced); /* NULL allowed; goes with its last user */
 
 typedef struct sfem_reduced_info {
@@ -1905,13 +2174,18 @@ SFEM_DEF void sfem_modal_start(sfem_modal *modal);
 SFEM_DEF void sfem_modal_oscillators(const sfem_modal *modal, sfem_real h, sfem_real *stiffness,
                                      sfem_real *damping);
 
-/* Loads, as sfem_body_set_force has them: at the end of the next step, until changed. A step costs
+/* Loads, as sfem_body_set_lasting_force has them: at the end of the next step, until changed. A step costs
  * the nodes whose force is not zero.
  *   errors  SFEM_BAD_ARGUMENT, SFEM_NOT_FINITE (node) */
-SFEM_DEF sfem_status sfem_modal_set_force(sfem_modal *modal, const sfem_real *force,
-                                          sfem_error *err);
-SFEM_DEF sfem_status sfem_modal_add_node_force(sfem_modal *modal, sfem_int node,
-                                               const sfem_real f[3], sfem_error *err);
+SFEM_DEF sfem_status sfem_modal_set_lasting_force(sfem_modal *modal, const sfem_real *force,
+                                                  sfem_error *err);
+SFEM_DEF sfem_status sfem_modal_add_lasting_force(sfem_modal *modal, sfem_int node,
+                                                  const sfem_real f[3], sfem_error *err);
+/* Adds a force, N, that acts during the next step alone, constant over it, rotated by the rotations of now. It changes
+ * the momentum of a free body by f h exactly. The step of a receiver, sfem_modal_step_with, static solutions and
+ * sfem_modal_load do not see it; a link has to ask for a key frame after that step, for q'' jumps at its start.
+ *   errors  SFEM_BAD_ARGUMENT, SFEM_NOT_FINITE (node) */
+SFEM_DEF sfem_status sfem_modal_add_step_force(sfem_modal *modal, sfem_int node, const sfem_real f[3], sfem_error *err);
 SFEM_DEF sfem_status sfem_modal_set_gravity(sfem_modal *modal, const sfem_real g[3],
                                             sfem_error *err);
 /* Phi^T R^T F of the present loads, gravity and rotations, [modes]. */
@@ -1943,6 +2217,13 @@ SFEM_DEF void sfem_modal_displacements(const sfem_modal *modal, const sfem_reduc
                                        sfem_real *u);
 SFEM_DEF void sfem_modal_to_floats(const sfem_modal *modal, const sfem_reduced_view *view, float *x,
                                    size_t stride);
+/* Nodal velocities, m/s, as sfem_body_velocities has them: of the warped displacement, with the motion of the frame.
+ * The full rows are read, not those of the view: 12 m multiply-adds a node, 6 m where nothing warps. */
+SFEM_DEF void sfem_modal_velocities(const sfem_modal *modal, const sfem_reduced_view *view, sfem_real *v);
+/* Normals, as sfem_surface_normals, of a view of sfem_reduced_view_surface. x: what sfem_modal_to_floats has written
+ * for it, with the same stride: position and normal may lie side by side in one buffer. */
+SFEM_DEF void sfem_modal_normals(const sfem_modal *modal, const sfem_reduced_view *view, const float *x, float *normal,
+                                 size_t stride);
 /* One node, from the full rows: its position and velocity (of the warped displacement, too); the
  * velocity and the rotation vector w may be NULL. */
 SFEM_DEF void sfem_modal_node(const sfem_modal *modal, sfem_int node, sfem_real x[3],
@@ -1979,7 +2260,7 @@ SFEM_DEF void sfem_modal_momentum(const sfem_modal *modal, sfem_real linear[3],
  * weighted by C.
  *   weight  [count] shares of the nodes of a region, that sum to 1, or NULL: equal
  *   target  a position, m (of a region: the weighted mean of its nodes')
- *   errors  SFEM_BAD_ARGUMENT (node, weights), SFEM_FULL (max_handles, max_handle_nodes),
+ *   errors  SFEM_BAD_ARGUMENT (node, weights, no such handle to move), SFEM_FULL (max_handles, max_handle_nodes),
  *           SFEM_NOT_FINITE */
 SFEM_DEF sfem_status sfem_modal_grab_node(sfem_modal *modal, sfem_int node, sfem_int *handle,
                                           sfem_error *err);
@@ -2172,6 +2453,120 @@ typedef struct sfem_receiver_info {
 SFEM_DEF sfem_receiver_info sfem_receiver_get_info(const sfem_receiver *receiver);
 #endif /* SFEM_NO_LINK */
 
+#ifndef SFEM_NO_EMBED
+/* ============================================================================================
+ * >>api-embed   a render surface that follows a coarse body
+ * ============================================================================================ */
+
+/* Each point X belongs to a tet with nodes X_k and has barycentric coordinates w there, sum w = 1, X = sum w_k X_k:
+ *     x = X + sum_k w_k u_k                                                 [Faloutsos, van de Panne, Terzopoulos 1997]
+ * Affine motions are exact to rounding, and x = X where u = 0. Every point is taken: one outside of all tets goes with
+ * the nearest, by coordinates of which some are negative; far away it exaggerates what that tet does.
+ *
+ * NORMALS are transformed, not made of the deformed triangles: n = sum_k w_k N_k n_0, unit length, in floats, N_k the
+ * mean of cof F = det F F^-T over the tets of node k, by volume; w_k outside as if negative ones were 0. For affine
+ * motions that is exact to rounding, and it is smooth where F jumps between tets, as normals of the deformed triangles
+ * are not. Normals of seams and sharp edges stay as they are given. */
+typedef struct sfem_embed sfem_embed;
+
+typedef struct sfem_embed_def {
+    uint32_t cookie; /* set by sfem_default_embed_def; a definition made otherwise is refused */
+    sfem_int points;
+    const sfem_real *x;      /* [points][3] m, where they are when the body is at rest */
+    sfem_int triangles;      /* or 0: points alone */
+    const sfem_int *tri;     /* [triangles][3] point numbers, counterclockwise from outside */
+    const sfem_real *normal; /* [points][3] at rest, of any length; or NULL: means of the triangles at a place, by
+                              * their angles there; zero where there are none with an area */
+    sfem_exec exec;          /* threads of create and of apply; the same bits for any number of them */
+    sfem_allocator allocator;
+} sfem_embed_def;
+SFEM_DEF sfem_embed_def sfem_default_embed_def(void);
+
+/* Copies what it needs; the mesh may go. It has to pass sfem_mesh_check.
+ *   errors  SFEM_BAD_ARGUMENT  no points, counts below 0, arrays missing, coordinates beyond 1e100 m
+ *           SFEM_BAD_MESH      a triangle that names a point that is not there; what sfem_mesh_check objects to
+ *           SFEM_NOT_FINITE    a coordinate or a normal, err->node
+ *           SFEM_TOO_LARGE, SFEM_OUT_OF_MEMORY
+ *   cost    O(tets log tets), about 1 us a point inside, 2 us outside (`make bench-embed`): by trees of boxes
+ *   memory  84 bytes a point, 112 with normals, and for these 56 a node and 104 a tet near the points; 16 a tet */
+SFEM_DEF sfem_status sfem_embed_create(const sfem_mesh *mesh, const sfem_embed_def *def, sfem_embed **out,
+                                       sfem_error *err);
+SFEM_DEF void sfem_embed_free(sfem_embed *embed); /* NULL allowed */
+
+typedef struct sfem_embed_info {
+    sfem_int points, triangles, nodes; /* nodes of the mesh */
+    sfem_int outside;        /* points in no tet */
+    sfem_int farthest;       /* the one of them with the largest distance, or -1 */
+    sfem_real distance;      /* that distance from the mesh, m, or 0 */
+    size_t bytes;
+} sfem_embed_info;
+SFEM_DEF sfem_embed_info sfem_embed_get_info(const sfem_embed *embed);
+
+/* The tet of a point, its coordinates there, its distance from the mesh, m: 0 inside. Any may be NULL. */
+SFEM_DEF void sfem_embed_point(const sfem_embed *embed, sfem_int point, sfem_int *tet, sfem_real bary[4],
+                               sfem_real *distance);
+
+/* Where the points are, and their normals, when the nodes of the mesh are displaced by u [nodes][3], m:
+ * sfem_body_displacement, what sfem_modal_displacements writes through a view of all nodes, or any other field. x or n
+ * may be NULL. to_floats writes three floats for point i at i stride bytes from the first of each.
+ * Allocates nothing. With normals it uses the embedding's own memory: one call at a time.
+ *   cost    4 ns a point, 18 with normals and 35 a tet near the points (`make bench-embed`; memory alone 2) */
+SFEM_DEF void sfem_embed_positions(sfem_embed *embed, const sfem_real *u, sfem_real *x, sfem_real *n);
+SFEM_DEF void sfem_embed_to_floats(sfem_embed *embed, const sfem_real *u, float *x, float *n, size_t stride);
+
+#ifndef SFEM_NO_DAMAGE
+/* BROKEN BODIES. The render surface is cut where the body's pieces (sfem_body_piece_of) part, and each piece is closed
+ * by inner faces. A place belongs to the piece of the node with the largest coordinate in its tet: pieces are bounded
+ * by the planes w_a = w_b of tets with nodes in both, as those of sfem_fragments are. Cracks that end inside a piece
+ * are not opened: the surface stretches over them. A vertex of piece P in a tet with nodes of others goes with those in
+ *     P: x = sum_P w_k x_k + R (X - sum_P w_k X_k),  R = sum_P w_k R_k,  sum_P w_k = 1
+ * R_k the rotation of a node's intact edges; elsewhere as in a whole body. Both agree where they meet.
+ *
+ * EXACT, whatever the shapes: each triangle is of one piece, and is a part of one render triangle or of one of those
+ * planes. Closed, each edge used as often in one direction as in the other: if the render surface is closed, its points
+ * in the mesh or near it. open_edges counts what is not; the open edges of the render surface stay open. Points outside
+ * are cut as if they were at the nearest place of the mesh, and its planes extended by half an edge. Where a render
+ * triangle comes from one piece to another past them, as at parts that the mesh leaves out, it is cut half way: edges
+ * stay open. NOT EXACT: which side of a plane is decided as if each point were moved by some 1e-5 of a tet's edge, at
+ * random but always alike; surfaces that cross themselves have inner faces that overlap. */
+typedef struct sfem_embed_pieces {
+    sfem_int vertices, triangles;
+    sfem_int inner;      /* the last so many triangles are inner faces */
+    sfem_int open_edges; /* 0: every piece is closed */
+    sfem_int *tri;       /* [triangles][3] vertices, counterclockwise from outside */
+    sfem_int *node;      /* [triangles] a node of the piece: sfem_body_piece_of tells which one */
+    sfem_int *source;    /* [triangles] the render triangle that it is part of, or -1 */
+    sfem_int *weld;      /* [vertices] the first one at the same place of the same piece: the borders of inner faces have
+                          * vertices of their own, and so have seams */
+    sfem_int *point;     /* [vertices][3] the points of the embedding that it lies between, -1 where there are fewer,
+                          * and */
+    sfem_real *share;    /* [vertices][3] in what shares: for texture coordinates */
+    sfem_int *support;   /* [vertices][4] the nodes that it goes with, -1 where there are fewer, */
+    sfem_real *weight;   /* [vertices][4] w_k, */
+    sfem_real *arm;      /* [vertices][3] and X - sum w_k X_k, m: zero in tets of one piece */
+    float *normal;       /* [vertices][3] at rest; zero of inner faces */
+    sfem_allocator allocator;
+} sfem_embed_pieces;
+
+/* To be called again when sfem_body_fracture(body).pieces has changed.
+ *   errors  SFEM_MISMATCH  the body has another mesh than the embedding
+ *           SFEM_TOO_LARGE, SFEM_OUT_OF_MEMORY
+ *   cost    O(tets + triangles that come out) */
+SFEM_DEF sfem_status sfem_embed_break(const sfem_embed *embed, const sfem_body *body, const sfem_allocator *allocator,
+                                      sfem_embed_pieces *out, sfem_error *err);
+SFEM_DEF void sfem_embed_pieces_free(sfem_embed_pieces *pieces); /* NULL allowed */
+
+/* Where its vertices are now, and their normals, as sfem_embed_positions does it; those of inner faces are means of
+ * their triangles. The embedding must have normals where n is not NULL. Between steps; one thread; allocates nothing. x
+ * must not be NULL, n may.
+ *   cost    O(vertices + tets): the tets for the rotations */
+SFEM_DEF void sfem_embed_pieces_positions(sfem_embed *embed, const sfem_embed_pieces *pieces, sfem_body *body,
+                                          sfem_real *x, sfem_real *n);
+SFEM_DEF void sfem_embed_pieces_to_floats(sfem_embed *embed, const sfem_embed_pieces *pieces, sfem_body *body, float *x,
+                                          float *n, size_t stride);
+#endif /* SFEM_NO_DAMAGE */
+#endif /* SFEM_NO_EMBED */
+
 #ifdef __cplusplus
 }
 #endif
@@ -2274,10 +2669,10 @@ static sfem_status sfemi_fail_at(sfem_error *err, sfem_status status, sfem_int n
  * set, is told apart from one with odd values. */
 enum {
     SFEMI_COOKIE_MESHER = 0x5fe30, SFEMI_COOKIE_LDL, SFEMI_COOKIE_CG, SFEMI_COOKIE_MODEL, SFEMI_COOKIE_DAMAGE,
-    SFEMI_COOKIE_BODY, SFEMI_COOKIE_MODES, SFEMI_COOKIE_REDUCED, SFEMI_COOKIE_MODAL, SFEMI_COOKIE_LINK
+    SFEMI_COOKIE_BODY, SFEMI_COOKIE_MODES, SFEMI_COOKIE_REDUCED, SFEMI_COOKIE_MODAL, SFEMI_COOKIE_LINK, SFEMI_COOKIE_EMBED
 };
 
-static int sfemi_made_by_default(uint32_t cookie, uint32_t kind, const char *function, sfem_error *err)
+static SFEMI_UNUSED int sfemi_made_by_default(uint32_t cookie, uint32_t kind, const char *function, sfem_error *err)
 {
     if (cookie == kind) return 1;
     (void)sfemi_fail(err, SFEM_BAD_ARGUMENT, "the definition was not made by %s: start from what that returns",
@@ -2327,6 +2722,12 @@ static void sfemi_delete(const sfem_allocator *a, void *memory)
     else free(raw);
 }
 
+#if defined(__GNUC__)
+#define SFEMI_UNUSED __attribute__((unused)) /* of what some parts do not need */
+#else
+#define SFEMI_UNUSED
+#endif
+
 /* Memory that is freed at once, of a function or of an object: each piece points to the one before it, from where
  * sfemi_new leaves room for that. */
 typedef struct sfemi_pool {
@@ -2334,7 +2735,7 @@ typedef struct sfemi_pool {
     void *last;
 } sfemi_pool;
 
-static sfemi_pool sfemi_pool_of(const sfem_allocator *a)
+static SFEMI_UNUSED sfemi_pool sfemi_pool_of(const sfem_allocator *a)
 {
     sfemi_pool pool;
     pool.allocator = *a;
@@ -2343,7 +2744,7 @@ static sfemi_pool sfemi_pool_of(const sfem_allocator *a)
 }
 
 /* What sfemi_new gave, or NULL, goes with the pool from now on. Returns it. */
-static void *sfemi_pool_own(sfemi_pool *pool, void *memory)
+static SFEMI_UNUSED void *sfemi_pool_own(sfemi_pool *pool, void *memory)
 {
     if (!memory) return NULL;
     memcpy((char *)memory - 2 * sizeof(void *), &pool->last, sizeof(void *));
@@ -2351,7 +2752,7 @@ static void *sfemi_pool_own(sfemi_pool *pool, void *memory)
 }
 
 /* The pool may stand in its own oldest piece. Afterwards it is empty. */
-static void sfemi_pool_free(sfemi_pool *pool)
+static SFEMI_UNUSED void sfemi_pool_free(sfemi_pool *pool)
 {
     const sfem_allocator al = pool->allocator;
     void *memory = pool->last, *next;
@@ -2414,7 +2815,7 @@ static sfem_int sfemi_threads(const sfem_exec *e)
 }
 
 /* Calls task(data, i) for each i in [0, count). */
-static void sfemi_run(const sfem_exec *e, sfem_int count, sfem_task task, void *data)
+static SFEMI_UNUSED void sfemi_run(const sfem_exec *e, sfem_int count, sfem_task task, void *data)
 {
     sfem_int i;
     if (count > 1 && sfemi_threads(e) > 1) {
@@ -2435,9 +2836,10 @@ static void sfemi_run(const sfem_exec *e, sfem_int count, sfem_task task, void *
  * whatever the processor says. Costs a few loads: ask once for each loop, not once for each element.
  *
  * A kernel is a function SFEMI_KERNEL(name) in section >>kernels, marked SFEMI_TARGET; its instances
- * are called name_0, name_1, name_2, and a table of pointers for each path, like sfemi_ldl_kernels,
- * chooses between them. Inside it SFEMI_V is a vector of SFEMI_W numbers of type SFEMI_R, with
- * SFEMI_LD, SFEMI_ST, SFEMI_DUP, SFEMI_ADD, SFEMI_MUL, SFEMI_FMA (a b + c) and SFEMI_FNMA
+ * are called name_64_0, of doubles for path 0, to name_32_2, and a table by path holds pointers to them. Those that
+ * vector types would only obscure, loops over lanes that the compiler turns into vector instructions, stand in
+ * >>element, and are called name_0 to name_2. Inside a kernel SFEMI_V is a vector of SFEMI_W numbers of type SFEMI_R,
+ * with SFEMI_LD, SFEMI_ST, SFEMI_DUP, SFEMI_ADD, SFEMI_MUL, SFEMI_FMA (a b + c) and SFEMI_FNMA
  * (c - a b). Multiply-adds are explicit, so that the bits depend on the path and on nothing else. */
 static int sfemi_path(void)
 {
@@ -2458,17 +2860,67 @@ static int sfemi_path(void)
 #define SFEMI_INLINE inline
 #endif
 
-/* For kernels that vector types would only obscure: loops over lanes that the compiler turns into
- * vector instructions of the given set. */
+/* What each path may use, and a table of K(path) for all of them, of which entry sfemi_path() counts. */
+#define SFEMI_TARGET_0
 #if SFEMI_X86
-#define SFEMI_AVX2   __attribute__((target("avx2,fma")))
-#define SFEMI_AVX512 __attribute__((target("avx512f,avx2,fma")))
+#define SFEMI_TARGET_1 __attribute__((target("avx2,fma")))
+#define SFEMI_TARGET_2 __attribute__((target("avx512f,avx2,fma")))
+#define SFEMI_PATHS(K) {K(0), K(1), K(2)}
+#else
+#define SFEMI_PATHS(K) {K(0)}
 #endif
 
 SFEM_DEF int sfem_vector_width(void)
 {
     static const int width[3] = {1, 4, 8};
     return width[sfemi_path()];
+}
+
+/* Counters that threads share, and locks. */
+#if defined(__GNUC__)
+#define SFEMI_ATOMICS 1
+typedef int32_t sfemi_counter;
+#define SFEMI_ATOMIC_ADD(p, v) __atomic_fetch_add((p), (v), __ATOMIC_ACQ_REL) /* the value before  \
+                                                                               */
+#define SFEMI_ATOMIC_GET(p)    __atomic_load_n((p), __ATOMIC_ACQUIRE)
+#define SFEMI_ATOMIC_SET(p, v) __atomic_store_n((p), (v), __ATOMIC_RELEASE)
+#elif defined(_MSC_VER)
+#define SFEMI_ATOMICS          1
+typedef long sfemi_counter;
+long _InterlockedExchangeAdd(long volatile *, long);
+long _InterlockedExchange(long volatile *, long);
+#define SFEMI_ATOMIC_ADD(p, v) _InterlockedExchangeAdd((p), (v))
+#define SFEMI_ATOMIC_GET(p)    _InterlockedExchangeAdd((p), 0)
+#define SFEMI_ATOMIC_SET(p, v) ((void)_InterlockedExchange((p), (v)))
+#else /* no atomics: solvers run on one thread, and factors are made and freed from one */
+#define SFEMI_ATOMICS          0
+typedef long sfemi_counter;
+#define SFEMI_ATOMIC_ADD(p, v) ((*(p) += (v)) - (v))
+#define SFEMI_ATOMIC_GET(p)    (*(p))
+#define SFEMI_ATOMIC_SET(p, v) ((void)(*(p) = (v)))
+#endif
+
+/* Sections this short need no more than a spin lock. */
+static SFEMI_UNUSED void sfemi_lock(int *lock)
+{
+#if defined(__GNUC__)
+    while (__atomic_exchange_n(lock, 1, __ATOMIC_ACQUIRE)) continue;
+#elif defined(_MSC_VER)
+    while (_InterlockedExchange((volatile long *)lock, 1)) continue;
+#else
+    *lock = 1;
+#endif
+}
+
+static SFEMI_UNUSED void sfemi_unlock(int *lock)
+{
+#if defined(__GNUC__)
+    __atomic_store_n(lock, 0, __ATOMIC_RELEASE);
+#elif defined(_MSC_VER)
+    _InterlockedExchange((volatile long *)lock, 0);
+#else
+    *lock = 0;
+#endif
 }
 
 #if !defined(SFEM_NO_BODY) || !defined(SFEM_NO_REDUCED)
@@ -2697,7 +3149,7 @@ static SFEMI_UNUSED sfem_real sfemi_volume6(const sfem_real *a, const sfem_real 
 }
 
 /* c = a b, a^T b, a b^T. c must be neither. */
-static void sfemi_mul3(const sfem_real *a, const sfem_real *b, sfem_real *c)
+static SFEMI_UNUSED void sfemi_mul3(const sfem_real *a, const sfem_real *b, sfem_real *c)
 {
     int i;
     for (i = 0; i < 9; i += 3) {
@@ -2745,7 +3197,7 @@ static sfem_real sfemi_jacobi_tangent(sfem_real pp, sfem_real qq, sfem_real pq)
 
 /* Eigenvalues w [n], descending, and eigenvectors, the columns of v [n][n], of the symmetric
  * matrix a [n][n], which is destroyed: cyclic Jacobi, for n up to a dozen. det v = 1. */
-static void sfemi_sym_eigen(int n, sfem_real *a, sfem_real *w, sfem_real *v)
+static SFEMI_UNUSED void sfemi_sym_eigen(int n, sfem_real *a, sfem_real *w, sfem_real *v)
 {
     sfem_real norm = 0;
     int sweep, turned = 1, p, q, i;
@@ -2986,6 +3438,41 @@ static void sfemi_small_solve(const sfem_real *a, sfem_int n, sfem_int stride, s
     for (i = 0; i < n; ++i)
         if (!(a[i * stride + i] > 0)) x[i * step] = 0;
 }
+#endif
+
+/* >>kernels, once for each path and precision. */
+#if !defined(SFEM_NO_MODEL) || !defined(SFEM_NO_REDUCED)
+#define SFEMI_BITS 64
+#define SFEMI_PATH 0
+#include SFEM_SELF
+#define SFEMI_BITS 32
+#define SFEMI_PATH 0
+#include SFEM_SELF
+#if SFEMI_X86
+#define SFEMI_BITS 64
+#define SFEMI_PATH 1
+#include SFEM_SELF
+#define SFEMI_BITS 32
+#define SFEMI_PATH 1
+#include SFEM_SELF
+#define SFEMI_BITS 64
+#define SFEMI_PATH 2
+#include SFEM_SELF
+/* what is not wider on AVX-512: floats are 8 wide on every path, rows of four doubles 4 */
+#define sfemi_ldl_invert_32_2    sfemi_ldl_invert_32_1
+#define sfemi_ldl_forward_32_2   sfemi_ldl_forward_32_1
+#define sfemi_ldl_backward_32_2  sfemi_ldl_backward_32_1
+#define sfemi_ldl_forward8_32_2  sfemi_ldl_forward8_32_1
+#define sfemi_ldl_backward8_32_2 sfemi_ldl_backward8_32_1
+#define sfemi_modal_tiles_32_2   sfemi_modal_tiles_32_1
+#define sfemi_modes_dots_64_2    sfemi_modes_dots_64_1
+#define sfemi_modes_combine_64_2 sfemi_modes_combine_64_1
+#define sfemi_modes_gram_64_2    sfemi_modes_gram_64_1
+#define sfemi_modes_rotate_64_2    sfemi_modes_rotate_64_1
+#define sfemi_modes_row_64_2     sfemi_modes_row_64_1
+#define sfemi_modes_project_64_2 sfemi_modes_project_64_1
+#define sfemi_modes_scale_64_2   sfemi_modes_scale_64_1
+#endif
 #endif
 
 /* ============================================================================================
@@ -3370,18 +3857,35 @@ static sfemi_mesh_fault sfemi_mesh_judge(const sfem_mesh *m, sfem_int t, sfem_re
     return *quality < 0 ? SFEMI_TET_INVERTED : SFEMI_TET_GOOD;
 }
 
+/* Do these numbers look like 1 .. nodes? To be asked where one is out of range. */
+static int sfemi_mesh_counts_from_one(const sfem_int *number, size_t count, sfem_int nodes)
+{
+    size_t i;
+    for (i = 0; i < count; ++i)
+        if (number[i] < 1 || number[i] > nodes) return 0;
+    return 1;
+}
+
 /* The sentence about tet t. */
 static sfem_status sfemi_mesh_complain(const sfem_mesh *m, sfem_int t, sfemi_mesh_fault fault,
                                        sfem_real quality, sfem_error *err)
 {
-    const sfem_int *v = m->tet + 4 * (size_t)t;
-    int i = 0;
+    const sfem_int *v;
+    size_t last = 0;
+    int i = 0, from_one = sfemi_mesh_counts_from_one(m->tet, 4 * (size_t)m->tets, m->nodes);
+    while (from_one && last < 4 * (size_t)m->tets && m->tet[last] != m->nodes) ++last;
+    from_one = from_one && last < 4 * (size_t)m->tets;
+    if (from_one && fault != SFEMI_TET_OUT_OF_RANGE) { /* which makes other tets flat or inverted */
+        t = (sfem_int)(last / 4);
+        fault = SFEMI_TET_OUT_OF_RANGE;
+    }
+    v = m->tet + 4 * (size_t)t;
     switch (fault) {
     case SFEMI_TET_OUT_OF_RANGE:
         while (v[i] >= 0 && v[i] < m->nodes) ++i;
         return sfemi_fail_at(err, SFEM_BAD_MESH, v[i], t,
-                             "tet %ld names node %ld, the mesh has %ld", (long)t, (long)v[i],
-                             (long)m->nodes);
+                             "tet %ld names node %ld, the mesh has %ld%s", (long)t, (long)v[i], (long)m->nodes,
+                             from_one ? ": numbered from 1? Node numbers start at 0" : "");
     case SFEMI_TET_REPEATED:
         while (v[sfemi_mesh_edge[i][0]] != v[sfemi_mesh_edge[i][1]]) ++i;
         return sfemi_fail_at(err, SFEM_BAD_MESH, v[sfemi_mesh_edge[i][0]], t,
@@ -3518,6 +4022,60 @@ SFEM_DEF void sfem_surface_free(sfem_surface *surface)
     memset(surface, 0, sizeof *surface);
 }
 
+/* Where the corners of triangles are: at x, at x + u, or at floats, stride bytes apart. */
+typedef struct sfemi_corners {
+    const sfem_real *x, *u;
+    const float *floats;
+    size_t stride;
+} sfemi_corners;
+
+static void sfemi_corner(const sfemi_corners *at, sfem_int node, sfem_real x[3])
+{
+    const size_t i = 3 * (size_t)node, f = (size_t)node * (at->stride / sizeof(float));
+    int c;
+    for (c = 0; c < 3; ++c)
+        x[c] = at->x ? at->x[i + (size_t)c] + (at->u ? at->u[i + (size_t)c] : 0) : (sfem_real)at->floats[f + (size_t)c];
+}
+
+/* Area vectors summed in place. A triangle that is 1e-19 m long still has one as floats. */
+static void sfemi_surface_normals(sfem_int triangles, const sfem_int *tri, const sfemi_corners *at, sfem_int nodes,
+                                  float *normal, size_t stride)
+{
+    const size_t step = stride / sizeof(float);
+    size_t i;
+    sfem_int k;
+    int l, c;
+    SFEM_ASSERT(stride >= 3 * sizeof(float) && stride % sizeof(float) == 0);
+    for (i = 0; i < (size_t)nodes; ++i) normal[i * step] = normal[i * step + 1] = normal[i * step + 2] = 0;
+    for (k = 0; k < triangles; ++k) {
+        const sfem_int *t = tri + 3 * (size_t)k;
+        sfem_real x[3][3], a[3], b[3], area[3];
+        for (l = 0; l < 3; ++l) {
+            SFEM_ASSERT(t[l] >= 0 && t[l] < nodes);
+            sfemi_corner(at, t[l], x[l]);
+        }
+        sfemi_sub3(x[1], x[0], a);
+        sfemi_sub3(x[2], x[0], b);
+        sfemi_cross(a, b, area);
+        for (l = 0; l < 3; ++l)
+            for (c = 0; c < 3; ++c) normal[(size_t)t[l] * step + (size_t)c] += (float)area[c];
+    }
+    for (i = 0; i < (size_t)nodes; ++i) {
+        const sfem_real n[3] = {normal[i * step], normal[i * step + 1], normal[i * step + 2]};
+        const sfem_real length = sqrt(sfemi_dot3(n, n));
+        for (c = 0; c < 3; ++c) normal[i * step + (size_t)c] = length > 0 ? (float)(n[c] / length) : 0;
+    }
+}
+
+SFEM_DEF void sfem_surface_normals(const sfem_surface *surface, const sfem_real *x, sfem_int nodes, float *normal,
+                                   size_t stride)
+{
+    sfemi_corners at = {0, 0, 0, 0};
+    SFEM_ASSERT(surface && normal && (x || surface->x));
+    at.x = x ? x : surface->x;
+    sfemi_surface_normals(surface->triangles, surface->tri, &at, nodes, normal, stride);
+}
+
 static sfem_status sfemi_mesh_surface(const sfem_mesh *mesh, const sfem_allocator *allocator,
                                       sfem_surface *out, sfem_int *overlapping, sfem_error *err)
 {
@@ -3566,7 +4124,7 @@ SFEM_DEF sfem_status sfem_mesh_surface(const sfem_mesh *mesh, const sfem_allocat
 /* ---- vertices at one place ---- */
 
 /* Below or not, by x, then y, then z, then the number. */
-static SFEMI_UNUSED int sfemi_mesh_before(const sfem_real *x, sfem_int a, sfem_int b)
+static int sfemi_mesh_before(const sfem_real *x, sfem_int a, sfem_int b)
 {
     const sfem_real *p = x + 3 * (size_t)a, *q = x + 3 * (size_t)b;
     int c;
@@ -3576,8 +4134,8 @@ static SFEMI_UNUSED int sfemi_mesh_before(const sfem_real *x, sfem_int a, sfem_i
 }
 
 /* first[i] = the lowest node at the place of node i. By merge sort, which no input makes slow. */
-static SFEMI_UNUSED sfem_status sfemi_mesh_weld(sfem_int nodes, const sfem_real *x, const sfem_allocator *a,
-                                                sfem_int *first, sfem_error *err)
+static sfem_status sfemi_mesh_weld(sfem_int nodes, const sfem_real *x, const sfem_allocator *a, sfem_int *first,
+                                   sfem_error *err)
 {
     sfem_status status = SFEM_OK;
     sfem_int *memory = NULL, *from, *to, *swap;
@@ -3604,6 +4162,126 @@ static SFEMI_UNUSED sfem_status sfemi_mesh_weld(sfem_int nodes, const sfem_real 
     }
 done:
     sfemi_delete(a, memory);
+    return status;
+}
+
+/* Kept nodes by the cell of a grid, as wide as the distance, that they are in: at most eight in each. */
+typedef struct sfemi_mesh_grid {
+    const sfem_real *x;
+    sfem_real width;
+    sfem_int *head, *next; /* [mask+1], [nodes] 1 + a node, or 0 */
+    size_t mask;
+} sfemi_mesh_grid;
+
+/* The slot of the cell next to that of node i by step, each -1, 0 or 1. */
+static size_t sfemi_mesh_grid_slot(const sfemi_mesh_grid *g, sfem_int i, const int step[3])
+{
+    uint64_t hash = 0, bits;
+    int c;
+    for (c = 0; c < 3; ++c) {
+        const sfem_real cell = floor(g->x[3 * (size_t)i + (size_t)c] / g->width) + step[c] + 0.5; /* never -0 */
+        memcpy(&bits, &cell, sizeof bits);
+        hash = (hash ^ bits) * 0x9e3779b97f4a7c15u;
+        hash ^= hash >> 29;
+    }
+    return (size_t)hash & g->mask;
+}
+
+/* The lowest kept node within the width of node i, or i. */
+static sfem_int sfemi_mesh_grid_find(const sfemi_mesh_grid *g, sfem_int i)
+{
+    const sfem_real *p = g->x + 3 * (size_t)i;
+    sfem_int best = i, k;
+    int n, step[3];
+    for (n = 0; n < 27; ++n) {
+        step[0] = n % 3 - 1, step[1] = n / 3 % 3 - 1, step[2] = n / 9 - 1;
+        for (k = g->head[sfemi_mesh_grid_slot(g, i, step)]; k; k = g->next[k - 1]) {
+            const sfem_real *q = g->x + 3 * (size_t)(k - 1);
+            const sfem_real a = p[0] - q[0], b = p[1] - q[1], c = p[2] - q[2];
+            if (k - 1 < best && a * a + b * b + c * c <= g->width * g->width) best = k - 1;
+        }
+    }
+    return best;
+}
+
+/* first[i] = the node that node i goes to, as sfem_mesh_weld has it. */
+static sfem_status sfemi_mesh_weld_near(const sfem_mesh *m, sfem_real distance, sfem_int *first, sfem_error *err)
+{
+    static const int here[3] = {0, 0, 0};
+    sfem_status status = SFEM_OK;
+    sfemi_mesh_grid g;
+    sfem_real most = 0;
+    size_t k;
+    sfem_int i;
+    memset(&g, 0, sizeof g);
+    for (k = 0; k < 3 * (size_t)m->nodes; ++k) most = fmax(most, fabs(m->x[k]));
+    if (!(distance > 1e-15 * most)) return sfemi_mesh_weld(m->nodes, m->x, &m->allocator, first, err); /* rounding */
+    g.x = m->x;
+    g.width = distance;
+    for (g.mask = 15; g.mask < 2 * (size_t)m->nodes;) g.mask = 2 * g.mask + 1;
+    SFEMI_NEW(sfem_int, g.head, &m->allocator, g.mask + 1);
+    SFEMI_NEW(sfem_int, g.next, &m->allocator, m->nodes);
+    for (i = 0; i < m->nodes; ++i) {
+        first[i] = sfemi_mesh_grid_find(&g, i);
+        if (first[i] < i) continue;
+        k = sfemi_mesh_grid_slot(&g, i, here);
+        g.next[i] = g.head[k];
+        g.head[k] = i + 1;
+    }
+done:
+    sfemi_delete(&m->allocator, g.head);
+    sfemi_delete(&m->allocator, g.next);
+    return status;
+}
+
+/* Would a tet lose its shape if nodes went to first[]? */
+static sfem_status sfemi_mesh_weld_check(const sfem_mesh *m, const sfem_int *first, sfem_real distance, sfem_error *err)
+{
+    sfem_int t;
+    int e;
+    for (t = 0; t < m->tets; ++t) {
+        const sfem_int *v = m->tet + 4 * (size_t)t;
+        for (e = 0; e < 6; ++e) {
+            const sfem_int a = v[sfemi_mesh_edge[e][0]], b = v[sfemi_mesh_edge[e][1]];
+            if (a == b || first[a] != first[b]) continue;
+            return sfemi_fail_at(err, SFEM_BAD_MESH, a, t,
+                                 "welding within %g would make one of nodes %ld and %ld of tet %ld: take a smaller distance",
+                                 distance, (long)a, (long)b, (long)t);
+        }
+    }
+    return SFEM_OK;
+}
+
+SFEM_DEF sfem_status sfem_mesh_weld(sfem_mesh *mesh, sfem_real distance, sfem_int *new_of_old, sfem_int *welded,
+                                    sfem_error *err)
+{
+    sfem_status status;
+    sfem_int *first = NULL, i, n = 0;
+    size_t k;
+    SFEM_ASSERT(mesh);
+    SFEMI_TRY(sfemi_mesh_in_range(mesh, err));
+    if (!(distance >= 0) || !sfemi_finite(distance) || !sfemi_finite(distance * distance))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "the distance of welding is %g, not 0 or above", distance);
+    for (i = 0; i < mesh->nodes; ++i)
+        if (!sfemi_all_finite(mesh->x + 3 * (size_t)i, 3))
+            return sfemi_fail_at(err, SFEM_NOT_FINITE, i, -1, "node %ld has a coordinate that is not finite", (long)i);
+    SFEMI_NEW(sfem_int, first, &mesh->allocator, mesh->nodes);
+    SFEMI_TRY(sfemi_mesh_weld_near(mesh, distance, first, err));
+    SFEMI_TRY(sfemi_mesh_weld_check(mesh, first, distance, err));
+    for (i = 0; i < mesh->nodes; ++i) { /* first[] becomes the new number: those it goes to are lower */
+        if (first[i] < i) {
+            first[i] = first[first[i]];
+            continue;
+        }
+        memmove(mesh->x + 3 * (size_t)n, mesh->x + 3 * (size_t)i, 3 * sizeof *mesh->x);
+        first[i] = n++;
+    }
+    for (k = 0; k < 4 * (size_t)mesh->tets; ++k) mesh->tet[k] = first[mesh->tet[k]];
+    if (new_of_old) memcpy(new_of_old, first, (size_t)mesh->nodes * sizeof *first);
+    if (welded) *welded = mesh->nodes - n;
+    mesh->nodes = n;
+done:
+    sfemi_delete(&mesh->allocator, first);
     return status;
 }
 
@@ -3725,6 +4403,30 @@ done:
     return status;
 }
 
+/* What duplicate nodes split: the mesh is looked at as if they were one. */
+static sfem_status sfemi_mesh_report_seam(const sfem_mesh *m, sfem_mesh_report *r, sfem_error *err)
+{
+    sfem_status status = SFEM_OK;
+    sfem_int *first = NULL, overlapping = 0;
+    sfem_mesh one = *m;
+    sfem_surface s;
+    size_t k;
+    memset(&s, 0, sizeof s);
+    one.tet = NULL;
+    SFEMI_NEW(sfem_int, first, &m->allocator, m->nodes);
+    SFEMI_NEW(sfem_int, one.tet, &m->allocator, 4 * (size_t)m->tets);
+    SFEMI_TRY(sfemi_mesh_weld(m->nodes, m->x, &m->allocator, first, err));
+    for (k = 0; k < 4 * (size_t)m->tets; ++k) one.tet[k] = first[m->tet[k]];
+    SFEMI_TRY(sfemi_mesh_surface(&one, &m->allocator, &s, &overlapping, err));
+    r->seam = r->surface_triangles > s.triangles ? r->surface_triangles - s.triangles : 0;
+    SFEMI_TRY(sfem_mesh_components(&one, first, &r->welded_components, err));
+done:
+    sfemi_delete(&m->allocator, first);
+    sfemi_delete(&m->allocator, one.tet);
+    sfem_surface_free(&s);
+    return status;
+}
+
 static sfem_status sfemi_mesh_report_topology(const sfem_mesh *m, sfem_mesh_report *r,
                                               sfem_error *err)
 {
@@ -3736,6 +4438,9 @@ static sfem_status sfemi_mesh_report_topology(const sfem_mesh *m, sfem_mesh_repo
     SFEMI_TRY(sfem_mesh_components(m, label, &r->components, err));
     for (i = 0, r->unused = 0; i < m->nodes; ++i) r->unused += label[i] < 0;
     SFEMI_TRY(sfemi_mesh_report_surface(m, r, err));
+    r->seam = 0;
+    r->welded_components = r->components;
+    if (r->coincident && !r->not_finite) SFEMI_TRY(sfemi_mesh_report_seam(m, r, err));
 done:
     sfemi_delete(&m->allocator, label);
     return status;
@@ -3819,7 +4524,7 @@ SFEM_DEF sfem_status sfem_mesh_check(const sfem_mesh *mesh, sfem_mesh_report *re
     SFEM_ASSERT(mesh);
     SFEM_ASSERT((mesh->x || mesh->nodes <= 0) && (mesh->tet || mesh->tets <= 0));
     memset(&r, 0, sizeof r);
-    r.worst_tet = r.unused = r.overlapping = r.components = -1;
+    r.worst_tet = r.unused = r.overlapping = r.components = r.seam = r.welded_components = -1;
     r.surface_triangles = r.surface_edges = r.surface_nodes = r.euler = -1;
     status = sfemi_mesh_counts(mesh->nodes, mesh->tets, err);
     if (status != SFEM_OK) {
@@ -4070,23 +4775,6 @@ done:
     return status;
 }
 
-SFEM_DEF sfem_int sfem_mesh_bandwidth(const sfem_mesh *mesh)
-{
-    sfem_int t, width = 0;
-    int i;
-    SFEM_ASSERT(mesh);
-    for (t = 0; t < mesh->tets; ++t) {
-        const sfem_int *v = mesh->tet + 4 * (size_t)t;
-        sfem_int low = v[0], high = v[0];
-        for (i = 1; i < 4; ++i) {
-            if (v[i] < low) low = v[i];
-            if (v[i] > high) high = v[i];
-        }
-        if (high - low > width) width = high - low;
-    }
-    return width;
-}
-
 SFEM_DEF sfem_status sfem_mesh_remove_unused(sfem_mesh *mesh, sfem_int *new_of_old, sfem_error *err)
 {
     sfem_status status = SFEM_OK;
@@ -4195,6 +4883,91 @@ SFEM_DEF int sfem_mesh_locate(const sfem_mesh *mesh, const sfem_real *x, const s
     return 1;
 }
 
+/* a_i of every node, see sfem_mesh_near. */
+static sfem_status sfemi_mesh_shares(const sfem_mesh *mesh, const sfem_surface *surface, const sfem_real *x,
+                                     sfem_real *share, sfem_error *err)
+{
+    const sfem_int corners = surface ? 3 : 4, count = surface ? surface->triangles : mesh->tets;
+    const sfem_int *corner = surface ? surface->tri : mesh->tet;
+    sfem_int e;
+    int k, c;
+    for (e = 0; e < count; ++e, corner += corners) {
+        sfem_real edge[3][3], cross[3], size;
+        for (k = 0; k < corners; ++k)
+            if (corner[k] < 0 || corner[k] >= mesh->nodes)
+                return sfemi_fail(err, SFEM_BAD_MESH, "%s %d names node %d, the mesh has %d", surface ? "triangle" : "tet",
+                                  (int)e, (int)corner[k], (int)mesh->nodes);
+        for (k = 1; k < corners; ++k)
+            for (c = 0; c < 3; ++c) edge[k - 1][c] = x[3 * (size_t)corner[k] + (size_t)c] - x[3 * (size_t)corner[0] + (size_t)c];
+        sfemi_cross(edge[0], edge[1], cross);
+        size = surface ? sqrt(sfemi_dot3(cross, cross)) / 6 : fabs(sfemi_dot3(cross, edge[2])) / 24;
+        for (k = 0; k < corners; ++k) share[corner[k]] += size;
+    }
+    return SFEM_OK;
+}
+
+static sfem_status sfemi_mesh_check_patch(const sfem_mesh *mesh, const sfem_patch *patch, sfem_int room, sfem_error *err)
+{
+    if (!(sfemi_finite(patch->radius) && patch->radius >= 0))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "the radius of a patch is %g m, must be >= 0", patch->radius);
+    if (!sfemi_all_finite(patch->point, 3)) return sfemi_fail(err, SFEM_NOT_FINITE, "the point of a patch is not finite");
+    if (room < 1) return sfemi_fail(err, SFEM_BAD_ARGUMENT, "there is room for %d nodes, must be >= 1", (int)room);
+    if (mesh->nodes < 1 || mesh->tets < 1) return sfemi_fail(err, SFEM_BAD_ARGUMENT, "the mesh has no tets");
+    return SFEM_OK;
+}
+
+SFEM_DEF sfem_status sfem_mesh_near(const sfem_mesh *mesh, const sfem_patch *patch, sfem_int room, sfem_int *node,
+                                    sfem_real *weight, sfem_int *count, sfem_error *err)
+{
+    const sfem_real *x;
+    sfem_real *share = NULL, sum = 0, least = -1;
+    sfem_int i, near = 0, nearest = -1;
+    sfem_status status = SFEM_OK;
+    int c;
+    SFEM_ASSERT(mesh && patch && node && weight && count);
+    SFEMI_TRY(sfemi_mesh_check_patch(mesh, patch, room, err));
+    x = patch->x ? patch->x : mesh->x;
+    SFEMI_NEW(sfem_real, share, &mesh->allocator, mesh->nodes);
+    SFEMI_TRY(sfemi_mesh_shares(mesh, patch->surface, x, share, err));
+    for (i = 0; i < mesh->nodes; ++i) {
+        const sfem_real r2 = patch->radius * patch->radius;
+        sfem_real d[3], d2, k;
+        if (!(share[i] > 0)) continue;
+        for (c = 0; c < 3; ++c) d[c] = x[3 * (size_t)i + (size_t)c] - patch->point[c];
+        d2 = sfemi_dot3(d, d);
+        if (nearest < 0 || d2 < least) {
+            nearest = i;
+            least = d2;
+        }
+        if (!(d2 < r2)) continue;
+        k = share[i] * (1 - d2 / r2) * (1 - d2 / r2);
+        if (near < room) {
+            node[near] = i;
+            weight[near] = k;
+        }
+        ++near;
+        sum += k;
+    }
+    *count = near;
+    if (near > room) {
+        status = sfemi_fail(err, SFEM_FULL, "the patch has %d nodes, there is room for %d", (int)near, (int)room);
+        goto done;
+    }
+    if (nearest < 0) {
+        status = sfemi_fail(err, SFEM_BAD_ARGUMENT, "no node has an area or a volume about it");
+        goto done;
+    }
+    if (!(sum > 0)) {
+        *count = near = 1;
+        *node = nearest;
+        *weight = sum = 1;
+    }
+    for (i = 0; i < near; ++i) weight[i] /= sum;
+done:
+    sfemi_delete(&mesh->allocator, share);
+    return status;
+}
+
 /* Are the nodes of a tet on both sides of a plane through the origin of a ray? For two planes along
  * the ray that is what a tet needs that it meets. Tets that share nodes agree about them. */
 static int sfemi_mesh_straddles(const sfem_real *x, const sfem_int *tet, const sfem_real *origin,
@@ -4282,8 +5055,9 @@ SFEM_DEF int sfem_mesh_pick_ray(const sfem_mesh *mesh, const sfem_real *x,
  * count is believed only as far as the bytes behind it could hold that many things.
  *
  * LITERATURE. Clinger, How to read floating point numbers accurately, PLDI 1990. Gmsh reference
- * manual, MSH file formats 2.2 and 4.1. Turk, The PLY polygon file format, 1994. The VTK file formats, for VTK 4.2 and
- * later. Barbic, Sin, Schroeder, Vega FEM user's manual. Si, TetGen user's manual, file formats. Frey, Medit: an
+ * manual, MSH file formats 2.2 and 4.1. Abaqus keywords reference guide. Marechal, libMeshb (codes of Medit's binary
+ * keywords). Turk, The PLY polygon file format, 1994. The VTK file formats, for VTK 4.2 and later. Barbic, Sin,
+ * Schroeder, Vega FEM user's manual. Si, TetGen user's manual, file formats. Frey, Medit: an
  * interactive mesh visualization software, INRIA RT-0253, 2001. */
 
 /* ---- numbers as text, the same in any locale ---- */
@@ -4714,6 +5488,607 @@ static sfem_status sfemi_scan_skip_words(sfemi_scan *s, int64_t count, const cha
     return SFEM_OK;
 }
 
+/* ---- numbers of a named type, in text or binary ---- */
+
+typedef struct sfemi_type {
+    const char *name; /* in small letters */
+    unsigned char bytes;
+    char kind; /* i signed, u unsigned, f real */
+} sfemi_type;
+
+/* Place 0 is none; those of PLY, which VTK shares, end before SFEMI_TYPES_PLY. */
+enum { SFEMI_TYPES_PLY = 17, SFEMI_TYPES = 29 };
+static const sfemi_type sfemi_types[SFEMI_TYPES] = {
+    {"", 0, 0},               {"char", 1, 'i'},          {"int8", 1, 'i'},         {"uchar", 1, 'u'},
+    {"uint8", 1, 'u'},        {"short", 2, 'i'},         {"int16", 2, 'i'},        {"ushort", 2, 'u'},
+    {"uint16", 2, 'u'},       {"int", 4, 'i'},           {"int32", 4, 'i'},        {"uint", 4, 'u'},
+    {"uint32", 4, 'u'},       {"float", 4, 'f'},         {"float32", 4, 'f'},      {"double", 8, 'f'},
+    {"float64", 8, 'f'},      {"int64", 8, 'i'},         {"uint64", 8, 'u'},       {"unsigned_char", 1, 'u'},
+    {"signed_char", 1, 'i'},  {"unsigned_short", 2, 'u'}, {"unsigned_int", 4, 'u'}, {"long", 8, 'i'},
+    {"unsigned_long", 8, 'u'}, {"vtkidtype", 4, 'i'},    {"vtktypeint64", 8, 'i'}, {"vtktypeuint64", 8, 'u'},
+    {"vtktypeint32", 4, 'i'}};
+
+/* The type of that name among the first `count`, or place 0. */
+static const sfemi_type *sfemi_type_find(sfemi_word w, int count)
+{
+    int k;
+    for (k = 1; k < count; ++k)
+        if (sfemi_word_is(w, sfemi_types[k].name)) return sfemi_types + k;
+    return sfemi_types;
+}
+
+/* A whole number of the type, from text or binary; what holds reals has to hold whole ones. */
+static sfem_status sfemi_typed_integer(sfemi_scan *s, const sfemi_type *type, int64_t low, int64_t high, const char *what,
+                                       int64_t *out)
+{
+    const sfemi_scan before = *s;
+    uint64_t bits = 0;
+    sfem_real real = 0;
+    sfem_status status;
+    if (!s->order && type->kind != 'f') return sfemi_scan_integer(s, low, high, what, out);
+    if (type->kind == 'f') {
+        s->real = type->bytes;
+        status = sfemi_scan_real(s, what, &real);
+        if (status != SFEM_OK) return status;
+        if (!(fabs(real) < 9e15) || real != floor(real)) {
+            *s = before;
+            return sfemi_scan_fail(s, SFEM_FORMAT, "%s is %g, not a whole number", what, real);
+        }
+        *out = (int64_t)real;
+    } else {
+        status = sfemi_scan_bits(s, type->bytes, what, &bits);
+        if (status != SFEM_OK) return status;
+        *out = (int64_t)bits;
+        if (type->kind == 'i' && type->bytes < 8 && bits >> (8 * type->bytes - 1)) *out -= (int64_t)1 << 8 * type->bytes;
+    }
+    if (*out >= low && *out <= high) return SFEM_OK;
+    *s = before; /* the place of the fault */
+    return sfemi_scan_range(s, *out, low, high, what);
+}
+
+/* A real, or a whole number as one. */
+static sfem_status sfemi_typed_real(sfemi_scan *s, const sfemi_type *type, const char *what, sfem_real *out)
+{
+    int64_t v = 0;
+    sfem_status status;
+    if (!s->order || type->kind == 'f') {
+        s->real = type->bytes;
+        return sfemi_scan_real(s, what, out);
+    }
+    status = sfemi_typed_integer(s, type, INT64_MIN, INT64_MAX, what, &v);
+    *out = (sfem_real)v;
+    return status;
+}
+
+/* Goes past so many of them. */
+static sfem_status sfemi_typed_skip(sfemi_scan *s, const sfemi_type *type, int64_t count, const char *what)
+{
+    if (!s->order) return sfemi_scan_skip_words(s, count, what);
+    if (count > (s->end - s->p) / type->bytes) count = (s->end - s->p) / type->bytes + 1; /* too many, but no overflow
+                                                                                           * */
+    return sfemi_scan_skip_bytes(s, (uint64_t)count * type->bytes, what);
+}
+
+/* ---- XML: tags and their attributes ---- */
+
+typedef struct sfemi_tag {
+    sfemi_word name, inside; /* inside: the attributes */
+    int closing, empty;      /* </name>, <name/> */
+} sfemi_tag;
+
+/* Goes on to p, which is not before s->p, and counts lines. */
+static void sfemi_scan_to(sfemi_scan *s, const char *p)
+{
+    const char *q;
+    while (s->p < p && (q = (const char *)memchr(s->p, '\n', (size_t)(p - s->p))) != NULL) {
+        s->p = q + 1;
+        if (s->line < INT32_MAX) ++s->line;
+    }
+    s->p = p;
+}
+
+/* Past the text, or SFEM_FORMAT. */
+static sfem_status sfemi_xml_past(sfemi_scan *s, const char *text)
+{
+    const size_t n = strlen(text);
+    const char *p = s->p;
+    for (; (size_t)(s->end - p) >= n; ++p) {
+        p = (const char *)memchr(p, text[0], (size_t)(s->end - p));
+        if (!p) break;
+        if ((size_t)(s->end - p) < n || memcmp(p, text, n) != 0) continue;
+        sfemi_scan_to(s, p + n);
+        return SFEM_OK;
+    }
+    sfemi_scan_to(s, s->end);
+    return sfemi_scan_fail(s, SFEM_FORMAT, "expected '%s', but the data ends", text);
+}
+
+/* The next tag, behind which s is then; comments and declarations are passed over. No name: there is none. */
+static sfem_status sfemi_xml_next(sfemi_scan *s, sfemi_tag *t)
+{
+    const char *p, *end;
+    char quote = 0;
+    memset(t, 0, sizeof *t);
+    for (;;) {
+        p = (const char *)memchr(s->p, '<', (size_t)(s->end - s->p));
+        sfemi_scan_to(s, p ? p : s->end);
+        if (!p) return SFEM_OK;
+        if (s->end - p >= 4 && !memcmp(p, "<!--", 4)) {
+            const sfem_status status = sfemi_xml_past(s, "-->");
+            if (status != SFEM_OK) return status;
+        } else if (s->end - p >= 2 && (p[1] == '?' || p[1] == '!')) {
+            const sfem_status status = sfemi_xml_past(s, ">");
+            if (status != SFEM_OK) return status;
+        } else
+            break;
+    }
+    for (end = ++p; end < s->end && (quote || *end != '>'); ++end)
+        if (quote ? *end == quote : *end == '"' || *end == '\'') quote = quote ? 0 : *end;
+    if (end == s->end) return sfemi_scan_fail(s, SFEM_FORMAT, "a tag does not end");
+    t->closing = *p == '/';
+    p += t->closing;
+    t->empty = end > p && end[-1] == '/';
+    for (t->name.p = p; p < end - t->empty && *p != '\n' && !sfemi_is_blank(*p);) ++p;
+    t->name.n = (size_t)(p - t->name.p);
+    if (!t->name.n) return sfemi_scan_fail(s, SFEM_FORMAT, "a tag without a name");
+    t->inside.p = p;
+    t->inside.n = (size_t)(end - t->empty - p);
+    sfemi_scan_to(s, end + 1);
+    return SFEM_OK;
+}
+
+/* The value of an attribute, without its quotes; n = 0 if it is not there. */
+static sfemi_word sfemi_xml_attribute(const sfemi_tag *t, const char *name)
+{
+    const char *p = t->inside.p, *end = p + t->inside.n;
+    sfemi_word key, value;
+    while (p < end) {
+        while (p < end && (*p == '\n' || sfemi_is_blank(*p))) ++p;
+        for (key.p = p; p < end && *p != '=' && *p != '\n' && !sfemi_is_blank(*p);) ++p;
+        key.n = (size_t)(p - key.p);
+        while (p < end && *p != '"' && *p != '\'') ++p;
+        if (p == end) break;
+        value.p = p + 1;
+        p = (const char *)memchr(value.p, *p, (size_t)(end - value.p));
+        if (!p) break;
+        value.n = (size_t)(p++ - value.p);
+        if (sfemi_word_is(key, name)) return value;
+    }
+    value.p = end;
+    value.n = 0;
+    return value;
+}
+
+/* It as a whole number; `missing` where it is not there. */
+static sfem_status sfemi_xml_integer(const sfemi_scan *s, const sfemi_tag *t, const char *name, int64_t missing,
+                                     int64_t *out)
+{
+    const sfemi_word w = sfemi_xml_attribute(t, name);
+    sfemi_scan inner = *s;
+    *out = missing;
+    if (!w.n) return SFEM_OK;
+    inner.p = w.p;
+    inner.end = w.p + w.n;
+    return sfemi_scan_integer(&inner, 0, INT64_MAX, name, out);
+}
+
+/* Base64 from text [p, end) into out, of at most `room` bytes; blanks are passed over, groups that end in = may be
+ * followed by others. Returns how many bytes there were, or (size_t)-1 if something else is in the text. */
+static size_t sfemi_base64(const char *p, const char *end, unsigned char *out, size_t room)
+{
+    size_t n = 0;
+    uint32_t bits = 0;
+    int have = 0, pad = 0;
+    for (; p < end && n < room; ++p) {
+        const char c = *p;
+        int v;
+        if (c == '\n' || sfemi_is_blank(c)) continue;
+        v = c >= 'A' && c <= 'Z' ? c - 'A' : c >= 'a' && c <= 'z' ? c - 'a' + 26 : c >= '0' && c <= '9' ? c - '0' + 52
+            : c == '+' ? 62 : c == '/' ? 63 : c == '=' && have >= 2 ? 64 : 65;
+        if (v == 65 || (pad && v != 64)) return (size_t)-1;
+        pad += v == 64;
+        bits = bits << 6 | (uint32_t)(v & 63);
+        if (++have < 4) continue;
+        for (v = 0; v < 3 - pad && n < room; ++v) out[n++] = (unsigned char)(bits >> (16 - 8 * v));
+        have = pad = 0;
+    }
+    return n;
+}
+
+/* ---- tables of numbers, sets, regions ---- */
+
+/* Room for one thing more behind `used` of them; NULL if there is no memory. */
+static void *sfemi_grow(const sfem_allocator *a, void *old, size_t used, size_t *room, size_t size)
+{
+    size_t more = *room ? 2 * *room : 16;
+    void *p;
+    if (used < *room) return old;
+    p = sfemi_new(a, more, size);
+    if (!p) return NULL;
+    if (used) memcpy(p, old, used * size);
+    sfemi_delete(a, old);
+    *room = more;
+    return p;
+}
+
+/* A table from tags, any whole numbers, to 0, 1, 2.. in the order of their coming. */
+typedef struct sfemi_tags {
+    int64_t *tag;    /* [(mask+1)/2] of which `used` are in */
+    sfem_int *table; /* [mask+1] place in tag plus 1, or 0 */
+    size_t mask, used;
+} sfemi_tags;
+
+static void sfemi_tags_free(sfemi_tags *g, const sfem_allocator *a)
+{
+    sfemi_delete(a, g->tag);
+    sfemi_delete(a, g->table);
+}
+
+/* The slot of a tag, or the empty one where it would go. */
+static sfem_int *sfemi_tags_slot(const sfemi_tags *g, int64_t tag)
+{
+    uint64_t h = (uint64_t)tag * 0x9e3779b97f4a7c15u;
+    size_t i = (size_t)(h ^ h >> 32) & g->mask;
+    while (g->table[i] && g->tag[g->table[i] - 1] != tag) i = (i + 1) & g->mask;
+    return g->table + i;
+}
+
+/* The place of a tag, or -1. */
+static sfem_int sfemi_tags_find(const sfemi_tags *g, int64_t tag)
+{
+    uint64_t k;
+    if (!g->used) return -1;
+    k = (uint64_t)tag - (uint64_t)g->tag[0]; /* most files count on by one */
+    if (k < g->used && g->tag[k] == tag) return (sfem_int)k;
+    return *sfemi_tags_slot(g, tag) - 1;
+}
+
+/* Puts a tag in, at the place `used`; 0 if it is there already. There has to be room. */
+static int sfemi_tags_add(sfemi_tags *g, int64_t tag)
+{
+    sfem_int *slot = sfemi_tags_slot(g, tag);
+    if (*slot) return 0;
+    g->tag[g->used++] = tag;
+    *slot = (sfem_int)g->used;
+    return 1;
+}
+
+/* Makes room for so many tags more. */
+static sfem_status sfemi_tags_room(sfemi_tags *g, size_t more, const sfem_allocator *a, sfem_error *err)
+{
+    sfem_status status = SFEM_OK;
+    sfemi_tags old = *g;
+    size_t size = 16, i;
+    if (more > INT32_MAX - old.used) return sfemi_fail(err, SFEM_TOO_LARGE, "more than 2^31 - 1 numbers of things");
+    while (size < 2 * (old.used + more)) size *= 2;
+    if (old.table && size <= old.mask + 1) return SFEM_OK;
+    g->tag = NULL;
+    g->table = NULL;
+    SFEMI_NEW(int64_t, g->tag, a, size / 2);
+    SFEMI_NEW(sfem_int, g->table, a, size);
+    g->mask = size - 1;
+    for (g->used = 0, i = 0; i < old.used; ++i) sfemi_tags_add(g, old.tag[i]);
+    sfemi_tags_free(&old, a);
+    return SFEM_OK;
+done:
+    sfemi_tags_free(g, a);
+    *g = old;
+    return status;
+}
+
+/* What a file holds beside nodes and tets, while it is read. */
+typedef struct sfemi_extra {
+    sfem_mesh_read_def def;
+    sfem_mesh_read_info info;
+    int sets, faces;  /* wanted: sets; triangles, of files that need not have tets then */
+    sfemi_pool pool;  /* names, in the end all of the sets */
+    sfem_error *err;
+    sfem_int tets10;  /* 10-node tets */
+    sfem_set *group;  /* [groups of groups_room] sets, without their members */
+    sfem_int (*member)[2];     /* [members of members_room] a set, and what is in it */
+    sfem_region *region;       /* [regions of regions_room] what is known of some numbers */
+    sfem_int (*triangle)[3];   /* [triangles of triangles_room] if faces are wanted */
+    size_t groups, groups_room, members, members_room, members_most, regions, regions_room, triangles, triangles_room;
+    sfemi_tags key, number;    /* of sets that are known by number, in the same order; of the regions */
+    const sfem_int *in;        /* [ins] the sets of the cell that is read */
+    size_t ins;
+    sfem_int one, corner, corners, fan[3]; /* that cell, if it is in one set; its polygon */
+} sfemi_extra;
+
+static void sfemi_extra_free(sfemi_extra *x)
+{
+    const sfem_allocator *a = &x->def.allocator;
+    sfemi_pool_free(&x->pool);
+    sfemi_delete(a, x->group);
+    sfemi_delete(a, x->member);
+    sfemi_delete(a, x->region);
+    sfemi_delete(a, x->triangle);
+    sfemi_tags_free(&x->key, a);
+    sfemi_tags_free(&x->number, a);
+}
+
+static sfem_status sfemi_extra_full(const sfemi_extra *x)
+{
+    return sfemi_fail(x->err, SFEM_OUT_OF_MEMORY, "out of memory: sets");
+}
+
+/* A copy that stays, NULL if there is no memory. What cannot be printed becomes a question mark. */
+static const char *sfemi_extra_name(sfemi_extra *x, sfemi_word w)
+{
+    char *p = (char *)sfemi_pool_own(&x->pool, sfemi_new(&x->def.allocator, w.n + 1, 1));
+    size_t i;
+    if (p && w.n) memcpy(p, w.p, w.n);
+    for (i = 0; p && i < w.n; ++i)
+        if ((unsigned char)p[i] < 32 || p[i] == 127) p[i] = '?';
+    return p;
+}
+
+/* A new set. */
+static sfem_status sfemi_extra_set(sfemi_extra *x, sfemi_word name, int of_tets, sfem_int *out)
+{
+    sfem_set *g = (sfem_set *)sfemi_grow(&x->def.allocator, x->group, x->groups, &x->groups_room, sizeof *g);
+    if (!g) return sfemi_extra_full(x);
+    x->group = g;
+    g += x->groups;
+    g->name = sfemi_extra_name(x, name);
+    g->of_tets = of_tets;
+    if (!g->name) return sfemi_extra_full(x);
+    *out = (sfem_int)x->groups++;
+    return SFEM_OK;
+}
+
+/* The set of cells of a dimension with a number: it is made if there is none, and then of the name, if any. */
+static sfem_status sfemi_extra_key(sfemi_extra *x, int dimension, sfem_int number, sfemi_word name, sfem_int *out)
+{
+    static const char *const what[4] = {"point", "curve", "surface", "volume"};
+    const int64_t key = 4 * (int64_t)number + dimension;
+    sfem_status status;
+    char text[32];
+    *out = sfemi_tags_find(&x->key, key);
+    if (*out >= 0) return SFEM_OK;
+    status = sfemi_tags_room(&x->key, 1, &x->def.allocator, x->err);
+    if (status != SFEM_OK) return status;
+    if (!name.n) {
+        snprintf(text, sizeof text, "%s %ld", what[dimension], (long)number);
+        name.p = text;
+        name.n = strlen(text);
+    }
+    status = sfemi_extra_set(x, name, dimension == 3, out);
+    if (status == SFEM_OK) sfemi_tags_add(&x->key, key);
+    return status;
+}
+
+static sfem_status sfemi_extra_member(sfemi_extra *x, sfem_int set, sfem_int member)
+{
+    sfem_int(*m)[2];
+    if (x->members >= x->members_most)
+        return sfemi_fail(x->err, SFEM_TOO_LARGE, "the sets have more than %.0f members in all, 4 a byte of the file",
+                          (double)x->members_most);
+    m = (sfem_int(*)[2])sfemi_grow(&x->def.allocator, x->member, x->members, &x->members_room, sizeof *m);
+    if (!m) return sfemi_extra_full(x);
+    x->member = m;
+    m[x->members][0] = set;
+    m[x->members++][1] = member;
+    return SFEM_OK;
+}
+
+/* A cell of so many corners, nodes of higher order not counted, begins, which is in the sets x->in. */
+static void sfemi_extra_begin(sfemi_extra *x, int dimension, int64_t corners)
+{
+    x->corner = 0;
+    x->corners = dimension == 2 && corners > 2 && corners < INT32_MAX ? (sfem_int)corners : 0;
+    if (x->corners && x->info.triangles <= INT32_MAX - x->corners) x->info.triangles += x->corners - 2;
+    if (dimension == 3 && x->info.others < INT32_MAX) ++x->info.others;
+}
+
+/* The next node of the cell: into its sets, and into the triangle that it ends. */
+static sfem_status sfemi_extra_node(sfemi_extra *x, sfem_int node)
+{
+    sfem_status status;
+    sfem_int(*t)[3];
+    size_t k;
+    for (k = 0; k < x->ins; ++k) {
+        status = sfemi_extra_member(x, x->in[k], node);
+        if (status != SFEM_OK) return status;
+    }
+    if (!x->faces || x->corner >= x->corners) return SFEM_OK;
+    x->fan[x->corner < 2 ? x->corner : 2] = node;
+    if (x->corner++ < 2) return SFEM_OK;
+    if (x->triangles == INT32_MAX / 3) return sfemi_fail(x->err, SFEM_TOO_LARGE, "more than (2^31 - 1)/3 triangles");
+    t = (sfem_int(*)[3])sfemi_grow(&x->def.allocator, x->triangle, x->triangles, &x->triangles_room, sizeof *t);
+    if (!t) return sfemi_fail(x->err, SFEM_OUT_OF_MEMORY, "out of memory: triangles");
+    x->triangle = t;
+    memcpy(t[x->triangles++], x->fan, sizeof x->fan);
+    x->fan[1] = node;
+    return SFEM_OK;
+}
+
+/* x->in for a cell of one set: those of its dimension with its number, unless that is 0 or sets are not wanted. */
+static sfem_status sfemi_extra_in(sfemi_extra *x, int dimension, int64_t number)
+{
+    sfemi_word none;
+    x->ins = 0;
+    x->in = &x->one;
+    if (!x->sets || !number || dimension > 2 || number < -INT32_MAX || number > INT32_MAX) return SFEM_OK;
+    x->ins = 1;
+    none.p = NULL;
+    none.n = 0;
+    return sfemi_extra_key(x, dimension, (sfem_int)number, none, &x->one);
+}
+
+/* What is known of a region's number; made if there is nothing yet. NULL if there is no memory. */
+static sfem_region *sfemi_extra_region(sfemi_extra *x, sfem_int number)
+{
+    const sfem_int at = sfemi_tags_find(&x->number, number);
+    sfem_region *r;
+    if (at >= 0) return x->region + at;
+    r = (sfem_region *)sfemi_grow(&x->def.allocator, x->region, x->regions, &x->regions_room, sizeof *r);
+    if (!r) return NULL;
+    x->region = r;
+    if (sfemi_tags_room(&x->number, 1, &x->def.allocator, NULL) != SFEM_OK) return NULL;
+    sfemi_tags_add(&x->number, number);
+    r += x->regions++;
+    r->number = number;
+    return r;
+}
+
+/* Nodes have new numbers, -1 for those that are gone. */
+static void sfemi_extra_map(sfemi_extra *x, const sfem_int *new_of_old)
+{
+    size_t i, n = 0;
+    for (i = 0; i < x->members; ++i) {
+        const sfem_int set = x->member[i][0];
+        const sfem_int member = x->group[set].of_tets ? x->member[i][1] : new_of_old[x->member[i][1]];
+        if (member < 0) continue;
+        x->member[n][0] = set;
+        x->member[n++][1] = member;
+    }
+    x->members = n;
+}
+
+/* Gives the sets their members, sorted, each once. */
+static sfem_status sfemi_extra_sort(sfemi_extra *x, const sfem_mesh *m)
+{
+    const sfem_allocator *a = &x->def.allocator;
+    const sfem_int range = m->nodes > m->tets ? m->nodes : m->tets, n = (sfem_int)x->members;
+    const sfem_int buckets = (sfem_int)x->groups > range ? (sfem_int)x->groups : range;
+    sfem_status status = SFEM_OK;
+    sfem_error *err = x->err;
+    sfem_int *order = NULL, *other = NULL, *bucket = NULL, *member = NULL, i;
+    SFEMI_NEW(sfem_int, bucket, a, (size_t)buckets + 1);
+    SFEMI_NEW(sfem_int, order, a, n);
+    SFEMI_NEW(sfem_int, other, a, n);
+    SFEMI_TAKE(sfem_int, member, &x->pool, n);
+    if (n) {
+        sfemi_mesh_sort(x->member[0] + 1, 2, n, range, NULL, other, bucket);
+        sfemi_mesh_sort(x->member[0], 2, n, (sfem_int)x->groups, other, order, bucket);
+    }
+    for (i = 0; i < n; ++i) {
+        const sfem_int *p = x->member[order[i]];
+        sfem_set *g = x->group + p[0];
+        if (!g->member) g->member = member;
+        if (g->count && member[-1] == p[1]) continue;
+        *member++ = p[1];
+        ++g->count;
+    }
+    for (i = 0; i < (sfem_int)x->groups; ++i)
+        if (!x->group[i].member) x->group[i].member = member;
+done:
+    sfemi_delete(a, bucket);
+    sfemi_delete(a, order);
+    sfemi_delete(a, other);
+    return status;
+}
+
+/* One entry for each number in m->region, in x->region. */
+static sfem_status sfemi_extra_regions(sfemi_extra *x, const sfem_mesh *m)
+{
+    sfem_region *known = x->region, *r = NULL;
+    sfemi_tags number = x->number;
+    const sfem_allocator *a = &x->def.allocator;
+    sfem_status status = SFEM_OK;
+    sfemi_word w;
+    char text[16];
+    sfem_int t, at;
+    size_t i;
+    x->region = NULL; /* from here on the ones in use */
+    x->regions = x->regions_room = 0;
+    memset(&x->number, 0, sizeof x->number);
+    for (t = 0; m->region && t < m->tets; ++t) {
+        if (t && m->region[t] == m->region[t - 1]) {
+            ++r->tets;
+            continue;
+        }
+        r = sfemi_extra_region(x, m->region[t]);
+        if (!r) goto full;
+        ++r->tets;
+    }
+    for (i = 0; i < x->regions; ++i) {
+        r = x->region + i;
+        at = sfemi_tags_find(&number, r->number);
+        if (at >= 0) {
+            t = r->tets;
+            *r = known[at];
+            r->tets = t;
+        }
+        if (!r->name) {
+            snprintf(text, sizeof text, "%ld", (long)r->number);
+            w.p = text;
+            w.n = strlen(text);
+            r->name = sfemi_extra_name(x, w);
+            if (!r->name) goto full;
+        }
+        if (!r->material) r->material = "";
+    }
+    goto done;
+full:
+    status = sfemi_extra_full(x);
+done:
+    sfemi_delete(a, known);
+    sfemi_tags_free(&number, a);
+    return status;
+}
+
+/* Hands them over. */
+static sfem_status sfemi_extra_give(sfemi_extra *x, sfem_mesh_sets *out)
+{
+    sfem_mesh_sets s;
+    memset(&s, 0, sizeof s);
+    s.allocator = x->def.allocator;
+    s.sets = (sfem_int)x->groups;
+    s.regions = (sfem_int)x->regions;
+    s.set = (sfem_set *)sfemi_pool_own(&x->pool, sfemi_new(&s.allocator, x->groups, sizeof *s.set));
+    if (s.set) s.region = (sfem_region *)sfemi_pool_own(&x->pool, sfemi_new(&s.allocator, x->regions, sizeof *s.region));
+    if (!s.region) return sfemi_extra_full(x);
+    if (x->groups) memcpy(s.set, x->group, x->groups * sizeof *s.set);
+    if (x->regions) memcpy(s.region, x->region, x->regions * sizeof *s.region);
+    s.memory = x->pool.last;
+    x->pool.last = NULL;
+    *out = s;
+    return SFEM_OK;
+}
+
+SFEM_DEF void sfem_mesh_sets_free(sfem_mesh_sets *sets)
+{
+    sfemi_pool pool;
+    if (!sets) return;
+    pool = sfemi_pool_of(&sets->allocator);
+    pool.last = sets->memory;
+    sfemi_pool_free(&pool);
+    memset(sets, 0, sizeof *sets);
+}
+
+static int sfemi_name_is(const char *a, const char *b)
+{
+    sfemi_word w;
+    w.p = a;
+    w.n = strlen(a);
+    return sfemi_word_is(w, b);
+}
+
+SFEM_DEF const sfem_set *sfem_mesh_sets_find(const sfem_mesh_sets *sets, const char *name, int of_tets)
+{
+    sfem_int i;
+    SFEM_ASSERT(sets && name);
+    for (i = 0; i < sets->sets; ++i)
+        if (!sets->set[i].of_tets == !of_tets && sfemi_name_is(sets->set[i].name, name)) return sets->set + i;
+    return NULL;
+}
+
+SFEM_DEF const sfem_region *sfem_mesh_sets_region(const sfem_mesh_sets *sets, const char *name)
+{
+    char text[16];
+    sfem_int i;
+    SFEM_ASSERT(sets && name);
+    for (i = 0; i < sets->regions; ++i)
+        if (sfemi_name_is(sets->region[i].name, name)) return sets->region + i;
+    for (i = 0; i < sets->regions; ++i) {
+        snprintf(text, sizeof text, "%ld", (long)sets->region[i].number);
+        if (!strcmp(text, name)) return sets->region + i;
+    }
+    return NULL;
+}
+
 #ifndef SFEM_NO_STDIO
 
 /* ---- whole files ---- */
@@ -4778,68 +6153,38 @@ static void sfemi_file_blame(const char *path, sfem_error *err)
 
 /* ---- Gmsh 2.2 and 4.1 ---- */
 
-/* A table from tags, any whole numbers, to 0, 1, 2.. in the order of their coming. */
-typedef struct sfemi_tags {
-    int64_t *tag;    /* [count] of which `used` are in */
-    sfem_int *table; /* [mask+1] place in tag plus 1, or 0 */
-    size_t mask, used;
-} sfemi_tags;
+/* An element type: how many nodes, of what dimension, and the corners of those of dimension 2. */
+typedef struct sfemi_gmsh_type {
+    unsigned char nodes, dimension, corners;
+} sfemi_gmsh_type;
 
-static sfem_status sfemi_tags_new(sfemi_tags *g, sfem_int count, const sfem_allocator *a,
-                                  sfem_error *err)
+/* The types 1 .. 31, 92 and 93; no nodes: of unknown length. */
+static sfemi_gmsh_type sfemi_gmsh_type_of(int64_t type)
 {
-    sfem_status status = SFEM_OK;
-    size_t size = 16;
-    while (size < 2 * (size_t)count) size *= 2;
-    SFEMI_NEW(int64_t, g->tag, a, count);
-    SFEMI_NEW(sfem_int, g->table, a, size);
-    g->mask = size - 1;
-done:
-    return status; /* the caller frees what there is */
+    static const sfemi_gmsh_type table[32] = {
+        {0, 3, 0},  {2, 1, 0},  {3, 2, 3},  {4, 2, 4},  {4, 3, 0},  {8, 3, 0},  {6, 3, 0},  {5, 3, 0},
+        {3, 1, 0},  {6, 2, 3},  {9, 2, 4},  {10, 3, 0}, {27, 3, 0}, {18, 3, 0}, {14, 3, 0}, {1, 0, 0},
+        {8, 2, 4},  {20, 3, 0}, {15, 3, 0}, {13, 3, 0}, {9, 2, 3},  {10, 2, 3}, {12, 2, 3}, {15, 2, 3},
+        {15, 2, 3}, {21, 2, 3}, {4, 1, 0},  {5, 1, 0},  {6, 1, 0},  {20, 3, 0}, {35, 3, 0}, {56, 3, 0}};
+    static const sfemi_gmsh_type more[2] = {{64, 3, 0}, {125, 3, 0}};
+    return type < 32 ? table[type] : type == 92 || type == 93 ? more[type - 92] : table[0];
 }
 
-static void sfemi_tags_free(sfemi_tags *g, const sfem_allocator *a)
-{
-    sfemi_delete(a, g->tag);
-    sfemi_delete(a, g->table);
-}
-
-/* The slot of a tag, or the empty one where it would go. */
-static sfem_int *sfemi_tags_slot(const sfemi_tags *g, int64_t tag)
-{
-    uint64_t h = (uint64_t)tag * 0x9e3779b97f4a7c15u;
-    size_t i = (size_t)(h ^ h >> 32) & g->mask;
-    while (g->table[i] && g->tag[g->table[i] - 1] != tag) i = (i + 1) & g->mask;
-    return g->table + i;
-}
-
-/* The place of a tag, or -1. */
-static sfem_int sfemi_tags_find(const sfemi_tags *g, int64_t tag)
-{
-    uint64_t k;
-    if (!g->used) return -1;
-    k = (uint64_t)tag - (uint64_t)g->tag[0]; /* most files count on by one */
-    if (k < g->used && g->tag[k] == tag) return (sfem_int)k;
-    return *sfemi_tags_slot(g, tag) - 1;
-}
-
-/* Puts a tag in, at the place `used`; 0 if it is there already. */
-static int sfemi_tags_add(sfemi_tags *g, int64_t tag)
-{
-    sfem_int *slot = sfemi_tags_slot(g, tag);
-    if (*slot) return 0;
-    g->tag[g->used++] = tag;
-    *slot = (sfem_int)g->used;
-    return 1;
-}
+/* The physical groups of an entity. */
+typedef struct sfemi_gmsh_entity_groups {
+    size_t first, count; /* in group[] */
+} sfemi_gmsh_entity_groups;
 
 typedef struct sfemi_gmsh {
     sfemi_scan s;
     sfem_mesh m;
-    sfemi_tags node, volume;
-    sfem_int *group; /* [volume] first physical group, or 0 */
+    sfemi_extra *x;
+    sfemi_tags node, entity;          /* 4 tag + dimension of an entity */
+    sfemi_gmsh_entity_groups *groups; /* [entity.used of entities_room] */
+    sfem_int *group, *in;             /* [physical of physical_room], [in_room] sets of a block */
+    size_t entities_room, physical, physical_room, in_room;
     int version, order;       /* 2 or 4; of the bytes in binary sections, 0 in ASCII files */
-    int any_group, has_format, has_nodes, has_elements;
+    int any_group, has_format, has_entities[2], has_nodes, has_elements;
 } sfemi_gmsh;
 
 /* From here on numbers are binary, if the file is. */
@@ -4928,9 +6273,8 @@ done:
     return status;
 }
 
-/* What is left of an entity behind its box and first physical group: in text the line, in binary
- * the other groups and the entities that bound it. */
-static sfem_status sfemi_gmsh_entity_end(sfemi_gmsh *g, int dimension, int64_t groups)
+/* What is left of an entity behind its physical groups: in text the line, in binary the entities that bound it. */
+static sfem_status sfemi_gmsh_entity_end(sfemi_gmsh *g, int dimension)
 {
     sfemi_scan *s = &g->s;
     sfem_status status;
@@ -4939,69 +6283,146 @@ static sfem_status sfemi_gmsh_entity_end(sfemi_gmsh *g, int dimension, int64_t g
         sfemi_scan_skip_line(s);
         return SFEM_OK;
     }
-    SFEMI_TRY(sfemi_scan_skip_bytes(s, 4 * (uint64_t)groups, "a physical group"));
-    if (dimension == 0) goto done;
+    if (dimension == 0) return SFEM_OK;
     SFEMI_TRY(sfemi_scan_size(s, 0, INT32_MAX, "a count of bounding entities", &bounds));
     SFEMI_TRY(sfemi_scan_skip_bytes(s, 4 * (uint64_t)bounds, "a bounding entity"));
 done:
     return status;
 }
 
-/* One entity: tag, place or box, physical groups, what bounds it. Only volumes are kept. */
-static sfem_status sfemi_gmsh_entity(sfemi_gmsh *g, int dimension)
+/* What partitions add to an entity: its parent, and the partitions that it is in. */
+static sfem_status sfemi_gmsh_partitions(sfemi_gmsh *g)
 {
     sfemi_scan *s = &g->s;
     sfem_status status;
+    int64_t v, count = 0;
+    SFEMI_TRY(sfemi_scan_integer(s, -1, 3, "the dimension of a parent entity", &v));
+    SFEMI_TRY(sfemi_scan_integer(s, -INT32_MAX, INT32_MAX, "the tag of a parent entity", &v));
+    SFEMI_TRY(sfemi_scan_size(s, 0, INT32_MAX, "a count of partitions", &count));
+    for (; count > 0; --count) SFEMI_TRY(sfemi_scan_integer(s, -INT32_MAX, INT32_MAX, "a partition", &v));
+done:
+    return status;
+}
+
+/* One entity: tag, place or box, physical groups, what bounds it. */
+static sfem_status sfemi_gmsh_entity(sfemi_gmsh *g, int dimension, int partitioned)
+{
+    sfemi_scan *s = &g->s;
+    const sfem_allocator *a = &g->m.allocator;
+    const size_t at = g->entity.used;
+    sfem_status status;
     sfem_real x;
-    int64_t v, groups, group = 0;
-    sfem_int at;
+    int64_t v, groups, group;
     int k;
     sfemi_scan_space(s);
     s->in_row = 1;
     SFEMI_TRY(sfemi_scan_integer(s, -INT32_MAX, INT32_MAX, "the tag of an entity", &v));
+    if (partitioned) SFEMI_TRY(sfemi_gmsh_partitions(g));
     for (k = 0; k < (dimension ? 6 : 3); ++k)
         SFEMI_TRY(sfemi_scan_real(s, "a bound of the entity", &x));
     SFEMI_TRY(sfemi_scan_size(s, 0, INT32_MAX, "a count of physical groups", &groups));
-    if (groups > 0)
-        SFEMI_TRY(sfemi_scan_integer(s, -INT32_MAX, INT32_MAX, "a physical group", &group));
-    if (dimension == 3) {
-        at = (sfem_int)g->volume.used;
-        if (!sfemi_tags_add(&g->volume, v)) {
-            status = sfemi_scan_fail(s, SFEM_FORMAT, "volume %ld a second time", (long)v);
-            goto done;
-        }
-        g->group[at] = (sfem_int)(group < 0 ? -group : group); /* a sign tells the orientation */
-        if (groups > 0) g->any_group = 1;
+    if (!sfemi_tags_add(&g->entity, 4 * v + dimension)) {
+        static const char *const what[4] = {"point", "curve", "surface", "volume"};
+        status = sfemi_scan_fail(s, SFEM_FORMAT, "%s %ld a second time", what[dimension], (long)v);
+        goto done;
     }
-    SFEMI_TRY(sfemi_gmsh_entity_end(g, dimension, groups - (groups > 0)));
+    g->groups[at].first = g->physical;
+    for (; groups > 0; --groups) {
+        sfem_int *grown;
+        SFEMI_TRY(sfemi_scan_integer(s, -INT32_MAX, INT32_MAX, "a physical group", &group));
+        grown = (sfem_int *)sfemi_grow(a, g->group, g->physical, &g->physical_room, sizeof *grown);
+        if (!grown) return sfemi_fail(s->err, SFEM_OUT_OF_MEMORY, "out of memory: physical groups");
+        g->group = grown;
+        grown[g->physical++] = (sfem_int)(group < 0 ? -group : group); /* a sign tells the orientation */
+        ++g->groups[at].count;
+        if (dimension == 3) g->any_group = 1;
+    }
+    SFEMI_TRY(sfemi_gmsh_entity_end(g, dimension));
 done:
     s->in_row = 0;
     return status;
 }
 
-static sfem_status sfemi_gmsh_entities(sfemi_gmsh *g)
+/* The counts of partitions and of entities that exist for cells of other partitions, and those. */
+static sfem_status sfemi_gmsh_ghosts(sfemi_gmsh *g)
+{
+    sfemi_scan *s = &g->s;
+    sfem_status status;
+    int64_t v, ghosts = 0;
+    SFEMI_TRY(sfemi_scan_size(s, 0, INT32_MAX, "the count of partitions", &v));
+    SFEMI_TRY(sfemi_scan_size(s, 0, INT32_MAX, "the count of ghost entities", &ghosts));
+    for (ghosts *= 2; ghosts > 0; --ghosts)
+        SFEMI_TRY(sfemi_scan_integer(s, -INT32_MAX, INT32_MAX, "a ghost entity", &v));
+done:
+    return status;
+}
+
+/* $Entities, or $PartitionedEntities, whose numbers go on from those. */
+static sfem_status sfemi_gmsh_entities(sfemi_gmsh *g, int partitioned)
 {
     static const char *const what[4] = {"the count of points", "the count of curves",
                                         "the count of surfaces", "the count of volumes"};
+    static const char *const section[2] = {"$Entities", "$PartitionedEntities"},
+                             *const end[2] = {"$EndEntities", "$EndPartitionedEntities"};
     sfemi_scan *s = &g->s;
+    const sfem_allocator *a = &g->m.allocator;
     sfem_error *err = s->err;
     sfem_status status = SFEM_OK;
+    sfemi_gmsh_entity_groups *old = g->groups;
     sfem_int count[4], i;
+    size_t total = 0;
     int k;
-    if (g->group) return sfemi_scan_fail(s, SFEM_FORMAT, "a second $Entities section");
+    if (g->has_entities[partitioned]++)
+        return sfemi_scan_fail(s, SFEM_FORMAT, "a second %s section", section[partitioned]);
     SFEMI_TRY(sfemi_gmsh_begin(g));
-    for (k = 0; k < 4; ++k) SFEMI_TRY(sfemi_scan_count(s, s->order ? 32 : 8, what[k], &count[k]));
-    SFEMI_TRY(sfemi_tags_new(&g->volume, count[3], &g->m.allocator, err));
-    SFEMI_NEW(sfem_int, g->group, &g->m.allocator, count[3]);
+    if (partitioned) SFEMI_TRY(sfemi_gmsh_ghosts(g));
+    for (k = 0; k < 4; total += (size_t)count[k++])
+        SFEMI_TRY(sfemi_scan_count(s, s->order ? 32 : 8, what[k], &count[k]));
+    SFEMI_TRY(sfemi_tags_room(&g->entity, total, a, err));
+    SFEMI_NEW(sfemi_gmsh_entity_groups, g->groups, a, g->entity.used + total);
+    if (g->entity.used) memcpy(g->groups, old, g->entity.used * sizeof *old);
+    sfemi_delete(a, old);
+    old = NULL;
     for (k = 0; k < 4; ++k)
         for (i = 0; i < count[k]; ++i) {
             SFEMI_TRY(sfemi_gmsh_more(g, "another entity"));
-            if (!s->order && k < 3)
-                sfemi_scan_skip_line(s);
-            else
-                SFEMI_TRY(sfemi_gmsh_entity(g, k));
+            SFEMI_TRY(sfemi_gmsh_entity(g, k, partitioned));
         }
-    SFEMI_TRY(sfemi_gmsh_end(g, "$EndEntities"));
+    SFEMI_TRY(sfemi_gmsh_end(g, end[partitioned]));
+done:
+    if (!g->groups) g->groups = old;
+    return status;
+}
+
+/* $PhysicalNames: a count, then rows of dimension, number and name in quotes. */
+static sfem_status sfemi_gmsh_names(sfemi_gmsh *g)
+{
+    sfemi_scan *s = &g->s;
+    sfem_region *region;
+    sfem_status status;
+    int64_t dimension, number;
+    sfem_int count = 0, set;
+    sfemi_word w;
+    SFEMI_TRY(sfemi_scan_count(s, 6, "the count of physical names", &count));
+    for (; count > 0; --count) {
+        SFEMI_TRY(sfemi_gmsh_more(g, "another physical name"));
+        SFEMI_TRY(sfemi_scan_integer(s, 0, 3, "the dimension of a physical name", &dimension));
+        SFEMI_TRY(sfemi_scan_integer(s, -INT32_MAX, INT32_MAX, "the number of a physical name", &number));
+        s->in_row = 1;
+        w = sfemi_scan_peek(s);
+        s->in_row = 0;
+        sfemi_scan_rest(s);
+        for (w.n = (size_t)(s->p - w.p); w.n && sfemi_is_blank(w.p[w.n - 1]);) --w.n;
+        if (w.n < 2 || w.p[0] != '"' || w.p[w.n - 1] != '"') return sfemi_scan_expected(s, "a name in quotes", w);
+        ++w.p, w.n -= 2;
+        number = number < 0 ? -number : number;
+        SFEMI_TRY(sfemi_extra_key(g->x, (int)dimension, (sfem_int)number, w, &set));
+        if (dimension < 3) continue;
+        region = sfemi_extra_region(g->x, (sfem_int)number);
+        if (!region) return sfemi_extra_full(g->x);
+        region->name = g->x->group[set].name;
+    }
+    SFEMI_TRY(sfemi_gmsh_end(g, "$EndPhysicalNames"));
 done:
     return status;
 }
@@ -5078,7 +6499,7 @@ static sfem_status sfemi_gmsh_nodes(sfemi_gmsh *g)
     } else
         SFEMI_TRY(sfemi_gmsh_begin(g));
     SFEMI_NEW(sfem_real, g->m.x, &g->m.allocator, 3 * (size_t)nodes);
-    SFEMI_TRY(sfemi_tags_new(&g->node, nodes, &g->m.allocator, err));
+    SFEMI_TRY(sfemi_tags_room(&g->node, (size_t)nodes, &g->m.allocator, err));
     g->m.nodes = nodes;
     for (; blocks > 0; --blocks) SFEMI_TRY(sfemi_gmsh_node_block(g));
     if (g->version == 2)
@@ -5097,13 +6518,25 @@ done:
     return status;
 }
 
-/* The nodes of the next tet, in the rest of its row. */
-static sfem_status sfemi_gmsh_tet(sfemi_gmsh *g)
+/* The next node of an element, by its tag. */
+static sfem_status sfemi_gmsh_node(sfemi_gmsh *g, const char *what, sfem_int *node)
+{
+    int64_t v = 0;
+    const sfem_status status = sfemi_scan_size(&g->s, INT64_MIN, INT64_MAX, what, &v);
+    if (status != SFEM_OK) return status;
+    *node = sfemi_tags_find(&g->node, v);
+    if (*node >= 0) return SFEM_OK;
+    return sfemi_scan_fail(&g->s, SFEM_BAD_MESH, "an element names node tag %lld, which is not there", (long long)v);
+}
+
+/* The nodes of the next tet, of 4 or 10 nodes, in the rest of its row. */
+static sfem_status sfemi_gmsh_tet(sfemi_gmsh *g, int64_t type)
 {
     sfemi_scan *s = &g->s;
     const sfem_int t = g->m.tets;
     sfem_status status = SFEM_OK;
     int64_t v;
+    size_t i;
     int k;
     for (k = 0; k < 4; ++k) {
         sfem_int node;
@@ -5118,44 +6551,102 @@ static sfem_status sfemi_gmsh_tet(sfemi_gmsh *g)
         }
         g->m.tet[4 * (size_t)t + (size_t)k] = node;
     }
+    if (type == 11) { /* the middles of edges */
+        ++g->x->info.linear;
+        for (k = 4; k < 10; ++k) SFEMI_TRY(sfemi_scan_size(s, INT64_MIN, INT64_MAX, "a node tag of a tet", &v));
+    }
     SFEMI_TRY(sfemi_scan_end_of_row(s, "the end of the tet's line"));
+    for (i = 0; i < g->x->ins; ++i) SFEMI_TRY(sfemi_extra_member(g->x, g->x->in[i], t));
     ++g->m.tets;
 done:
     return status;
 }
 
-/* Goes past `count` elements that are no tets, each with its tag and `more` numbers; in text past
- * the rest of the row of one. */
+/* The nodes of the next element that is no tet: in text the rest of its row. */
+static sfem_status sfemi_gmsh_cell(sfemi_gmsh *g, int64_t type)
+{
+    const sfemi_gmsh_type shape = sfemi_gmsh_type_of(type);
+    sfemi_scan *s = &g->s;
+    sfem_status status = SFEM_OK;
+    sfem_int node, k;
+    if (s->order && !shape.nodes)
+        return sfemi_scan_fail(s, SFEM_FORMAT, "elements of type %lld, of unknown length", (long long)type);
+    sfemi_extra_begin(g->x, shape.dimension, shape.corners);
+    for (k = 0; s->order ? k < shape.nodes : sfemi_scan_peek(s).n > 0; ++k) {
+        SFEMI_TRY(sfemi_gmsh_node(g, "a node tag of an element", &node));
+        SFEMI_TRY(sfemi_extra_node(g->x, node));
+    }
+done:
+    return status;
+}
+
+/* Goes past `count` elements, each with its tag and `more` numbers; in text past the rest of the row of one. Those
+ * that are no tets are counted when the tets are read. */
 static sfem_status sfemi_gmsh_skip_elements(sfemi_gmsh *g, int64_t type, int64_t more,
                                             int64_t count)
 {
-    /* nodes of the types 1 .. 31, the second to fourth order of lines to pyramids among them */
-    static const unsigned char nodes[32] = {0,  2,  3,  4,  4, 8, 6,  5,  3,  6, 9,
-                                            10, 27, 18, 14, 1, 8, 20, 15, 13, 9, 10,
-                                            12, 15, 15, 21, 4, 5, 6,  20, 35, 56};
+    const sfemi_gmsh_type shape = sfemi_gmsh_type_of(type);
     sfemi_scan *s = &g->s;
+    sfem_status status = SFEM_OK;
     uint64_t each;
     if (!s->order) {
         sfemi_scan_skip_line(s);
-        return SFEM_OK;
+        count = 1;
+    } else {
+        if (!shape.nodes)
+            return sfemi_scan_fail(s, SFEM_FORMAT, "elements of type %lld, of unknown length",
+                                   (long long)type);
+        each = (uint64_t)s->size * (1 + (uint64_t)more + shape.nodes);
+        if ((uint64_t)count > (uint64_t)(s->end - s->p) / each)
+            return sfemi_scan_fail(s, SFEM_FORMAT, "expected another element, but the data ends");
+        status = sfemi_scan_skip_bytes(s, (uint64_t)count * each, "another element");
     }
-    if (type != 92 && type != 93 && (type > 31 || !nodes[type]))
-        return sfemi_scan_fail(s, SFEM_FORMAT, "elements of type %lld, of unknown length",
-                               (long long)type);
-    each = (uint64_t)s->size * (1 + (uint64_t)more +
-                                (type == 92   ? 64u
-                                 : type == 93 ? 125u
-                                              : nodes[type]));
-    if ((uint64_t)count > (uint64_t)(s->end - s->p) / each)
-        return sfemi_scan_fail(s, SFEM_FORMAT, "expected another element, but the data ends");
-    return sfemi_scan_skip_bytes(s, (uint64_t)count * each, "another element");
+    if (g->m.tet && type != 11)
+        for (; count > 0; --count) sfemi_extra_begin(g->x, shape.dimension, shape.corners);
+    return status;
 }
 
-static sfem_status sfemi_gmsh_count_tets(sfemi_scan *s, int64_t more, sfem_int *tets)
+/* Tets of 4 nodes, and of 10 where they are asked for. */
+static int sfemi_gmsh_is_tet(const sfemi_gmsh *g, int64_t type) { return type == 4 || (type == 11 && g->x->def.linear); }
+
+/* Counts so many elements, if they are tets. */
+static sfem_status sfemi_gmsh_count_tets(sfemi_gmsh *g, int64_t type, int64_t more, sfem_int *tets)
 {
+    if (g->m.tet || (type != 4 && type != 11)) return SFEM_OK;
+    if (type == 11) tets = sfemi_gmsh_is_tet(g, type) ? tets : &g->x->tets10;
     if (more > INT32_MAX - *tets)
-        return sfemi_scan_fail(s, SFEM_TOO_LARGE, "more than 2^31 - 1 tets");
+        return sfemi_scan_fail(&g->s, SFEM_TOO_LARGE, "more than 2^31 - 1 tets");
     *tets += (sfem_int)more;
+    return SFEM_OK;
+}
+
+/* 4.1: x->in for the elements of an entity, and the region of its tets. */
+static sfem_status sfemi_gmsh_groups(sfemi_gmsh *g, int dimension, int64_t entity, sfem_int *region)
+{
+    const sfem_int place = sfemi_tags_find(&g->entity, 4 * entity + dimension);
+    const sfemi_gmsh_entity_groups none = {0, 0}, e = place < 0 ? none : g->groups[place];
+    sfemi_word unnamed;
+    sfem_status status;
+    sfem_int set;
+    size_t i;
+    unnamed.p = NULL;
+    unnamed.n = 0;
+    *region = (sfem_int)entity;
+    if (g->any_group) *region = e.count ? g->group[e.first] : 0;
+    g->x->ins = 0;
+    for (i = 0; i < e.count && g->x->sets && g->m.tet; ++i) {
+        const sfem_int number = g->group[e.first + i];
+        sfem_int *in = (sfem_int *)sfemi_grow(&g->m.allocator, g->in, g->x->ins, &g->in_room, sizeof *in);
+        if (!in) return sfemi_extra_full(g->x);
+        g->in = in;
+        set = sfemi_tags_find(&g->x->key, 4 * (int64_t)number + dimension);
+        if (dimension < 3 && set < 0) {
+            status = sfemi_extra_key(g->x, dimension, number, unnamed, &set);
+            if (status != SFEM_OK) return status;
+        }
+        if (set >= 0) in[g->x->ins++] = set; /* of volumes those with a name */
+    }
+    g->x->in = g->in;
     return SFEM_OK;
 }
 
@@ -5164,40 +6655,44 @@ static sfem_status sfemi_gmsh_block(sfemi_gmsh *g, int64_t *elements, sfem_int *
 {
     sfemi_scan *s = &g->s;
     sfem_status status;
-    sfem_int place, region;
+    sfem_int region;
     int64_t dimension, entity, type, count, i, v;
+    int wanted, tet;
     SFEMI_TRY(sfemi_scan_integer(s, 0, 3, "the dimension of an entity", &dimension));
     SFEMI_TRY(sfemi_scan_integer(s, -INT32_MAX, INT32_MAX, "the tag of an entity", &entity));
     SFEMI_TRY(sfemi_scan_integer(s, 1, INT32_MAX, "an element type", &type));
     SFEMI_TRY(sfemi_scan_size(s, 0, INT64_MAX, "the count of elements in a block", &count));
-    region = (sfem_int)entity;
-    if (g->any_group) {
-        place = sfemi_tags_find(&g->volume, entity);
-        region = place < 0 ? 0 : g->group[place];
-    }
-    for (i = 0; i < count; ++i) {
-        SFEMI_TRY(sfemi_gmsh_more(g, "another element"));
-        if (type == 4 && g->m.tet) {
-            g->m.region[g->m.tets] = region;
+    SFEMI_TRY(sfemi_gmsh_groups(g, (int)dimension, entity, &region));
+    tet = sfemi_gmsh_is_tet(g, type);
+    if (tet ? dimension < 3 : dimension == 3 || sfemi_gmsh_type_of(type).dimension != dimension) g->x->ins = 0; /* not
+                                                                                                                 * of
+                                                                                                                 * its
+                                                                                                                 * kind */
+    wanted = g->m.tet && (tet || (type != 11 && (g->x->ins || g->x->faces)));
+    if (s->order && !wanted && count > 0) {
+        SFEMI_TRY(sfemi_gmsh_skip_elements(g, type, 0, count));
+    } else
+        for (i = 0; i < count; ++i) {
+            SFEMI_TRY(sfemi_gmsh_more(g, "another element"));
+            if (!wanted) {
+                SFEMI_TRY(sfemi_gmsh_skip_elements(g, type, 0, 1));
+                continue;
+            }
+            if (tet) g->m.region[g->m.tets] = region;
             s->in_row = 1;
             SFEMI_TRY(sfemi_scan_size(s, 0, INT64_MAX, "an element tag", &v));
-            SFEMI_TRY(sfemi_gmsh_tet(g));
+            SFEMI_TRY(tet ? sfemi_gmsh_tet(g, type) : sfemi_gmsh_cell(g, type));
             s->in_row = 0;
-        } else if (s->order) {
-            SFEMI_TRY(sfemi_gmsh_skip_elements(g, type, 0, count));
-            break;
-        } else
-            SFEMI_TRY(sfemi_gmsh_skip_elements(g, type, 0, 1));
-    }
+        }
     *elements += count;
-    if (type == 4 && !g->m.tet) SFEMI_TRY(sfemi_gmsh_count_tets(s, count, tets));
+    SFEMI_TRY(sfemi_gmsh_count_tets(g, type, count, tets));
 done:
     s->in_row = 0;
     return status;
 }
 
 /* 2.2: the tags of an element: its physical group, its entity, and others. */
-static sfem_status sfemi_gmsh_tags(sfemi_gmsh *g, int64_t tags, sfem_int *group, sfem_int *entity)
+static sfem_status sfemi_gmsh_tags(sfemi_gmsh *g, int64_t tags, int tet, sfem_int *group, sfem_int *entity)
 {
     sfem_status status = SFEM_OK;
     int64_t k, v;
@@ -5207,7 +6702,48 @@ static sfem_status sfemi_gmsh_tags(sfemi_gmsh *g, int64_t tags, sfem_int *group,
         if (k == 0) *group = (sfem_int)(v < 0 ? -v : v);
         if (k == 1) *entity = (sfem_int)v;
     }
-    if (*group) g->any_group = 1;
+    if (*group && tet) g->any_group = 1;
+done:
+    return status;
+}
+
+/* 2.2: a tet in several groups is written once for each of them, with the same nodes: the last tet is then the one
+ * before it, of another group. */
+static void sfemi_gmsh_same_tet(sfemi_gmsh *g, int64_t type)
+{
+    const sfem_int t = g->m.tets - 1;
+    const sfem_int *tet = g->m.tet + 4 * (size_t)t, *region = g->m.region + t;
+    size_t i;
+    if (t < 1 || memcmp(tet, tet - 4, 4 * sizeof *tet) != 0 || region[0] == region[-1]) return;
+    for (i = 0; i < g->x->ins; ++i) g->x->member[g->x->members - 1 - i][1] = t - 1;
+    g->m.tets = t;
+    g->x->info.linear -= type == 11;
+}
+
+/* 2.2: one element of a block, behind what they share. */
+static sfem_status sfemi_gmsh_tagged_one(sfemi_gmsh *g, int64_t type, int64_t tags)
+{
+    sfemi_scan *s = &g->s;
+    const int tet = sfemi_gmsh_is_tet(g, type);
+    sfem_status status = SFEM_OK;
+    sfem_int group = 0, entity = 0;
+    int64_t v;
+    if (s->order) SFEMI_TRY(sfemi_scan_integer(s, 0, INT32_MAX, "an element tag", &v));
+    SFEMI_TRY(sfemi_gmsh_tags(g, tags, tet, &group, &entity));
+    if (tet && g->m.tet) {
+        g->x->one = g->x->sets ? sfemi_tags_find(&g->x->key, 4 * (int64_t)group + 3) : -1;
+        g->x->in = &g->x->one;
+        g->x->ins = g->x->one >= 0;
+        g->m.region[g->m.tets] = g->any_group ? group : entity;
+        SFEMI_TRY(sfemi_gmsh_tet(g, type));
+        sfemi_gmsh_same_tet(g, type);
+    } else if (g->m.tet) {
+        SFEMI_TRY(sfemi_extra_in(g->x, sfemi_gmsh_type_of(type).dimension, group));
+        status = sfemi_gmsh_cell(g, type);
+    } else if (s->order)
+        status = sfemi_scan_skip_bytes(s, 4u * sfemi_gmsh_type_of(type).nodes, "a node tag of a tet");
+    else
+        sfemi_scan_skip_line(s);
 done:
     return status;
 }
@@ -5217,7 +6753,6 @@ static sfem_status sfemi_gmsh_tagged(sfemi_gmsh *g, int64_t left, int64_t *eleme
 {
     sfemi_scan *s = &g->s;
     sfem_status status = SFEM_OK;
-    sfem_int group, entity;
     int64_t v, type, tags, count = 1, i;
     sfemi_scan_space(s);
     s->in_row = 1;
@@ -5226,20 +6761,12 @@ static sfem_status sfemi_gmsh_tagged(sfemi_gmsh *g, int64_t left, int64_t *eleme
     if (s->order)
         SFEMI_TRY(sfemi_scan_integer(s, 0, left, "the count of elements in a block", &count));
     SFEMI_TRY(sfemi_scan_integer(s, 0, INT32_MAX, "a count of tags", &tags));
-    if (type != 4) SFEMI_TRY(sfemi_gmsh_skip_elements(g, type, tags, count));
-    for (i = 0; type == 4 && i < count; ++i) {
-        if (s->order) SFEMI_TRY(sfemi_scan_integer(s, 0, INT32_MAX, "an element tag", &v));
-        SFEMI_TRY(sfemi_gmsh_tags(g, tags, &group, &entity));
-        if (g->m.tet) {
-            g->m.region[g->m.tets] = g->any_group ? group : entity;
-            SFEMI_TRY(sfemi_gmsh_tet(g));
-        } else if (s->order)
-            SFEMI_TRY(sfemi_scan_skip_bytes(s, 16, "a node tag of a tet"));
-        else
-            sfemi_scan_skip_line(s);
-    }
+    if (sfemi_gmsh_is_tet(g, type) || (g->m.tet && type != 11 && (g->x->sets || g->x->faces))) {
+        for (i = 0; i < count; ++i) SFEMI_TRY(sfemi_gmsh_tagged_one(g, type, tags));
+    } else
+        SFEMI_TRY(sfemi_gmsh_skip_elements(g, type, tags, count));
     *elements += count;
-    if (type == 4 && !g->m.tet) SFEMI_TRY(sfemi_gmsh_count_tets(s, count, tets));
+    SFEMI_TRY(sfemi_gmsh_count_tets(g, type, count, tets));
 done:
     s->in_row = 0;
     return status;
@@ -5327,8 +6854,10 @@ static sfem_status sfemi_gmsh_read(sfemi_gmsh *g)
             status = sfemi_gmsh_format(g, start);
         else if (!g->has_format)
             return sfemi_scan_expected(s, "$MeshFormat", w);
-        else if (sfemi_word_is(w, "$Entities"))
-            status = sfemi_gmsh_entities(g);
+        else if (sfemi_word_is(w, "$Entities") || sfemi_word_is(w, "$PartitionedEntities"))
+            status = sfemi_gmsh_entities(g, w.n > 9);
+        else if (sfemi_word_is(w, "$PhysicalNames") && g->x->sets)
+            status = sfemi_gmsh_names(g);
         else if (sfemi_word_is(w, "$Nodes"))
             status = sfemi_gmsh_nodes(g);
         else if (sfemi_word_is(w, "$Elements"))
@@ -5341,21 +6870,212 @@ static sfem_status sfemi_gmsh_read(sfemi_gmsh *g)
     return status;
 }
 
-/* ---- VTK legacy ASCII ---- */
+/* ---- VTK: cells ---- */
 
 typedef struct sfemi_vtk {
     sfemi_scan s;
     sfem_mesh m;
-    sfemi_scan cell_scan;    /* the numbers behind CELLS, or behind CONNECTIVITY */
-    sfem_int cells, *offset; /* [cells+1] where each cell's nodes begin, in 5.1 */
+    sfemi_extra *x;
+    sfemi_scan cell_scan, region_scan;          /* the numbers behind CELLS, or behind CONNECTIVITY; of regions */
+    const sfemi_type *cell_type, *region_type;  /* of those; NULL: there are no regions */
+    sfem_int cells, *offset; /* [cells+1] where each cell's nodes begin, but for the old CELLS */
     sfem_int numbers;        /* how many stand there */
     unsigned char *type;     /* [cells] 255 for any type above */
+    int order;               /* of the bytes in binary files, else 0 */
     int has_points, has_cells, has_types;
 } sfemi_vtk;
+
+/* A type of cells: its nodes, 0 for any number, its dimension, and corners of those of dimension 2, which can be cut
+ * into a fan; 255: all its nodes. */
+typedef struct sfemi_vtk_shape {
+    unsigned char nodes, dimension, corners;
+} sfemi_vtk_shape;
+
+static sfemi_vtk_shape sfemi_vtk_shape_of(int type)
+{
+    static const sfemi_vtk_shape table[35] = {
+        {0, 0, 0}, {1, 0, 0}, {0, 0, 0}, {2, 1, 0}, {0, 1, 0},   {3, 2, 3},  {0, 2, 0},  {0, 2, 255}, {4, 2, 0},
+        {4, 2, 4}, {4, 3, 0}, {8, 3, 0}, {8, 3, 0}, {6, 3, 0},   {5, 3, 0},  {0, 3, 0},  {0, 3, 0},   {0, 0, 0},
+        {0, 0, 0}, {0, 0, 0}, {0, 0, 0}, {3, 1, 0}, {6, 2, 3},   {8, 2, 4},  {10, 3, 0}, {0, 3, 0},   {0, 3, 0},
+        {0, 3, 0}, {9, 2, 4}, {0, 3, 0}, {0, 2, 4}, {0, 3, 0},   {0, 3, 0},  {0, 3, 0},  {7, 2, 3}};
+    return table[type < 35 ? type : 0];
+}
+
+/* May the array of that name tell the regions of cells? */
+static int sfemi_vtk_names_region(sfemi_word w)
+{
+    static const char *const name[] = {"region",           "medit:ref", "gmsh:physical", "gmsh:geometrical",
+                                       "CellEntityIds", "material",  "MaterialId"};
+    size_t k;
+    for (k = 0; k < sizeof name / sizeof *name; ++k)
+        if (sfemi_word_is(w, name[k])) return 1;
+    return 0;
+}
+
+static sfem_status sfemi_vtk_fill_points(sfemi_vtk *r, sfemi_scan *s, const sfemi_type *type, sfem_int n)
+{
+    sfem_error *err = s->err;
+    sfem_status status = SFEM_OK;
+    size_t i;
+    SFEMI_NEW(sfem_real, r->m.x, &r->m.allocator, 3 * (size_t)n);
+    for (i = 0; i < 3 * (size_t)n; ++i) SFEMI_TRY(sfemi_typed_real(s, type, "a coordinate", r->m.x + i));
+    r->m.nodes = n;
+    r->has_points = 1;
+done:
+    return status;
+}
+
+static sfem_status sfemi_vtk_fill_types(sfemi_vtk *r, sfemi_scan *s, const sfemi_type *type, sfem_int n)
+{
+    sfem_error *err = s->err;
+    sfem_status status = SFEM_OK;
+    sfem_int i;
+    int64_t v;
+    SFEMI_NEW(unsigned char, r->type, &r->m.allocator, n);
+    for (i = 0; i < n; ++i) {
+        SFEMI_TRY(sfemi_typed_integer(s, type, 0, INT32_MAX, "a cell type", &v));
+        r->type[i] = (unsigned char)(v < 255 ? v : 255);
+    }
+    r->has_types = 1;
+done:
+    return status;
+}
+
+/* Where the cells' nodes begin, from place `first` on: with that of the first cell (0) or without. */
+static sfem_status sfemi_vtk_fill_offsets(sfemi_vtk *r, sfemi_scan *s, const sfemi_type *type, sfem_int n, int first)
+{
+    sfem_error *err = s->err;
+    sfem_status status = SFEM_OK;
+    int64_t v, before = 0;
+    sfem_int i;
+    SFEMI_NEW(sfem_int, r->offset, &r->m.allocator, (size_t)n + (size_t)first);
+    for (i = first; i < n + first; ++i) {
+        SFEMI_TRY(sfemi_typed_integer(s, type, before, i ? r->numbers : 0, "an offset", &v));
+        r->offset[i] = (sfem_int)v;
+        before = v;
+    }
+    if (n && before != r->numbers && !first)
+        status = sfemi_scan_fail(s, SFEM_FORMAT, "the last offset is %lld, not %ld",
+                                 (long long)before, (long)r->numbers);
+done:
+    return status;
+}
+
+/* The nodes of a cell that is a tet, of 4 or 10 nodes. */
+static sfem_status sfemi_vtk_tet(sfemi_vtk *r, int64_t nodes)
+{
+    sfemi_scan *s = &r->cell_scan;
+    sfem_status status;
+    int64_t v;
+    size_t k;
+    for (k = 0; k < 4; ++k) {
+        SFEMI_TRY(sfemi_typed_integer(s, r->cell_type, INT64_MIN, INT64_MAX, "a node of a tet", &v));
+        if (v < 0 || v >= r->m.nodes) {
+            status =
+                sfemi_scan_fail(s, SFEM_BAD_MESH, "tet %ld names node %lld, the mesh has %ld%s",
+                                (long)r->m.tets, (long long)v, (long)r->m.nodes,
+                                v == r->m.nodes && sfemi_mesh_counts_from_one(
+                                                       r->m.tet, 4 * (size_t)r->m.tets + k, r->m.nodes)
+                                    ? ": numbered from 1? Points are numbered from 0"
+                                    : "");
+            if (s->err) s->err->tet = r->m.tets;
+            goto done;
+        }
+        r->m.tet[4 * (size_t)r->m.tets + k] = (sfem_int)v;
+    }
+    if (nodes > 4) {
+        ++r->x->info.linear;
+        SFEMI_TRY(sfemi_typed_skip(s, r->cell_type, nodes - 4, "another number of a cell"));
+    }
+    ++r->m.tets;
+done:
+    return status;
+}
+
+/* The nodes of any other cell. */
+static sfem_status sfemi_vtk_other(sfemi_vtk *r, int type, int64_t nodes, int64_t region)
+{
+    const sfemi_vtk_shape shape = sfemi_vtk_shape_of(type);
+    sfemi_scan *s = &r->cell_scan;
+    sfem_status status;
+    int64_t v;
+    SFEMI_TRY(sfemi_extra_in(r->x, shape.dimension, region));
+    if (type != 24) sfemi_extra_begin(r->x, shape.dimension, shape.corners == 255 ? nodes : shape.corners);
+    if (!r->x->ins && !r->x->faces) return sfemi_typed_skip(s, r->cell_type, nodes, "another number of a cell");
+    for (; nodes > 0; --nodes) {
+        SFEMI_TRY(sfemi_typed_integer(s, r->cell_type, INT64_MIN, INT64_MAX, "a node of a cell", &v));
+        if (v < 0 || v >= r->m.nodes)
+            return sfemi_scan_fail(s, SFEM_BAD_MESH, "a cell names node %lld, the mesh has %ld", (long long)v,
+                                   (long)r->m.nodes);
+        SFEMI_TRY(sfemi_extra_node(r->x, (sfem_int)v));
+    }
+done:
+    return status;
+}
+
+/* How many nodes cell i has, of `left` numbers. */
+static sfem_status sfemi_vtk_cell_nodes(sfemi_vtk *r, sfem_int i, sfem_int *left, int64_t *nodes)
+{
+    sfemi_scan *s = &r->cell_scan;
+    const int wanted = sfemi_vtk_shape_of(r->type[i]).nodes;
+    sfem_status status;
+    if (r->offset)
+        *nodes = r->offset[i + 1] - r->offset[i];
+    else {
+        if (*left < 1)
+            return sfemi_scan_fail(s, SFEM_FORMAT, "CELLS end in cell %ld of %ld", (long)i, (long)r->cells);
+        status = sfemi_typed_integer(s, r->cell_type, 0, *left - 1, "the count of nodes of a cell", nodes);
+        if (status != SFEM_OK) return status;
+        --*left;
+    }
+    if (wanted && *nodes != wanted) {
+        sfemi_scan_space(s);
+        return sfemi_scan_fail(s, SFEM_FORMAT, "cell %ld of type %d has %lld nodes, not %d", (long)i,
+                               r->type[i], (long long)*nodes, wanted);
+    }
+    *left -= (sfem_int)*nodes;
+    return SFEM_OK;
+}
+
+/* The tets among the cells, when all arrays are known. */
+static sfem_status sfemi_vtk_tets(sfemi_vtk *r)
+{
+    sfemi_scan *s = &r->cell_scan;
+    sfem_error *err = s->err;
+    sfem_status status = SFEM_OK;
+    sfem_int i, t = 0, left = r->numbers;
+    int64_t nodes, region = 0;
+    for (i = 0; i < r->cells; ++i) {
+        t += r->type[i] == 10 || (r->type[i] == 24 && r->x->def.linear);
+        r->x->tets10 += r->type[i] == 24 && !r->x->def.linear;
+    }
+    SFEMI_NEW(sfem_int, r->m.tet, &r->m.allocator, 4 * (size_t)t);
+    if (r->region_type) SFEMI_NEW(sfem_int, r->m.region, &r->m.allocator, t);
+    for (i = 0; i < r->cells; ++i) {
+        const int type = r->type[i];
+        SFEMI_TRY(sfemi_vtk_cell_nodes(r, i, &left, &nodes));
+        if (r->region_type)
+            SFEMI_TRY(sfemi_typed_integer(&r->region_scan, r->region_type, -INT32_MAX, INT32_MAX, "the region of a cell",
+                                          &region));
+        if (type != 10 && (type != 24 || !r->x->def.linear)) {
+            SFEMI_TRY(sfemi_vtk_other(r, type, nodes, region));
+            continue;
+        }
+        if (r->m.region) r->m.region[r->m.tets] = (sfem_int)region;
+        SFEMI_TRY(sfemi_vtk_tet(r, nodes));
+    }
+    if (left)
+        status = sfemi_scan_fail(s, SFEM_FORMAT, "CELLS have %ld numbers too many", (long)left);
+done:
+    return status;
+}
+
+/* ---- VTK legacy, ASCII and binary ---- */
 
 static sfem_status sfemi_vtk_header(sfemi_vtk *r)
 {
     sfemi_scan *s = &r->s;
+    const char *start = s->p;
     sfemi_word w;
     sfem_real version;
     char text[25];
@@ -5372,28 +7092,50 @@ static sfem_status sfemi_vtk_header(sfemi_vtk *r)
     sfemi_scan_skip_line(s);
     sfemi_scan_skip_line(s); /* the title, which may be empty */
     w = sfemi_scan_peek(s);
-    if (sfemi_word_is(w, "BINARY"))
-        return sfemi_scan_fail(s, SFEM_FORMAT, "VTK legacy binary: only ASCII is read");
-    if (!sfemi_word_is(w, "ASCII")) return sfemi_scan_expected(s, "ASCII", w);
+    if (sfemi_word_is(w, "BINARY")) {
+        s->start = start;
+        r->order = 2;
+    } else if (!sfemi_word_is(w, "ASCII"))
+        return sfemi_scan_expected(s, "ASCII or BINARY", w);
     s->p += w.n;
+    return SFEM_OK;
+}
+
+/* The data behind a keyword's line: in binary files numbers are binary up to s->order = 0. */
+static sfem_status sfemi_vtk_begin(sfemi_vtk *r)
+{
+    sfem_status status;
+    if (!r->order) return SFEM_OK;
+    status = sfemi_scan_end_of_row(&r->s, "the end of the line");
+    if (status != SFEM_OK) return status;
+    sfemi_scan_skip_line(&r->s);
+    r->s.order = r->order;
+    return SFEM_OK;
+}
+
+/* A type by its name; in text, where it does not matter, any word will do. */
+static sfem_status sfemi_vtk_type(sfemi_vtk *r, const char *what, const sfemi_type **type)
+{
+    const sfemi_word w = sfemi_scan_peek(&r->s);
+    *type = sfemi_type_find(w, SFEMI_TYPES);
+    if (!w.n || (r->order && !(*type)->bytes)) return sfemi_scan_expected(&r->s, what, w);
+    r->s.p += w.n;
     return SFEM_OK;
 }
 
 static sfem_status sfemi_vtk_points(sfemi_vtk *r)
 {
     sfemi_scan *s = &r->s;
-    sfem_error *err = s->err;
-    sfem_status status = SFEM_OK;
+    const sfemi_type *type;
+    sfem_status status;
     sfem_int n = 0;
-    size_t i;
     if (r->has_points) return sfemi_scan_fail(s, SFEM_FORMAT, "POINTS a second time");
     SFEMI_TRY(sfemi_scan_count(s, 6, "the count of points", &n));
-    SFEMI_TRY(sfemi_scan_skip_words(s, 1, "the type of the points"));
-    SFEMI_NEW(sfem_real, r->m.x, &r->m.allocator, 3 * (size_t)n);
-    for (i = 0; i < 3 * (size_t)n; ++i) SFEMI_TRY(sfemi_scan_real(s, "a coordinate", r->m.x + i));
-    r->m.nodes = n;
-    r->has_points = 1;
+    SFEMI_TRY(sfemi_vtk_type(r, "the type of the points", &type));
+    SFEMI_TRY(sfemi_vtk_begin(r));
+    SFEMI_TRY(sfemi_vtk_fill_points(r, s, type, n));
 done:
+    s->order = 0;
     return status;
 }
 
@@ -5403,48 +7145,46 @@ done:
 static sfem_status sfemi_vtk_cells(sfemi_vtk *r)
 {
     sfemi_scan *s = &r->s;
-    sfem_error *err = s->err;
+    const sfemi_type *type;
     sfem_status status = SFEM_OK;
-    sfem_int n = 0, i;
-    int64_t v, before = 0;
+    sfem_int n = 0;
+    int offsets;
     if (r->has_cells) return sfemi_scan_fail(s, SFEM_FORMAT, "CELLS a second time");
     SFEMI_TRY(sfemi_scan_count(s, 2, "the count of cells", &n));
     SFEMI_TRY(sfemi_scan_count(s, 2, "the count of numbers in CELLS", &r->numbers));
-    if (sfemi_word_is(sfemi_scan_peek(s), "OFFSETS")) {
-        SFEMI_TRY(sfemi_scan_skip_words(s, 2, "the type of the offsets"));
-        SFEMI_NEW(sfem_int, r->offset, &r->m.allocator, n);
-        for (i = 0; i < n; ++i) {
-            SFEMI_TRY(sfemi_scan_integer(s, before, i ? r->numbers : 0, "an offset", &v));
-            r->offset[i] = (sfem_int)v;
-            before = v;
-        }
-        if (n && before != r->numbers) {
-            status = sfemi_scan_fail(s, SFEM_FORMAT, "the last offset is %lld, not %ld",
-                                     (long long)before, (long)r->numbers);
-            goto done;
-        }
+    SFEMI_TRY(sfemi_vtk_begin(r));
+    r->cell_type = sfemi_types + 10; /* int32 */
+    offsets = s->order ? s->end - s->p >= 7 && !memcmp(s->p, "OFFSETS", 7) : sfemi_word_is(sfemi_scan_peek(s), "OFFSETS");
+    if (offsets) {
+        s->order = 0;
+        sfemi_scan_word(s);
+        SFEMI_TRY(sfemi_vtk_type(r, "the type of the offsets", &type));
+        SFEMI_TRY(sfemi_vtk_begin(r));
+        SFEMI_TRY(sfemi_vtk_fill_offsets(r, s, type, n, 0));
+        s->order = 0;
         if (!sfemi_word_is(sfemi_scan_peek(s), "CONNECTIVITY")) {
             status = sfemi_scan_expected(s, "CONNECTIVITY", sfemi_scan_peek(s));
             goto done;
         }
-        SFEMI_TRY(sfemi_scan_skip_words(s, 2, "the type of the connectivity"));
+        sfemi_scan_word(s);
+        SFEMI_TRY(sfemi_vtk_type(r, "the type of the connectivity", &r->cell_type));
+        SFEMI_TRY(sfemi_vtk_begin(r));
         n -= n > 0;
     }
     r->cells = n;
     r->cell_scan = *s;
-    SFEMI_TRY(sfemi_scan_skip_words(s, r->numbers, "another number of a cell"));
+    SFEMI_TRY(sfemi_typed_skip(s, r->cell_type, r->numbers, "another number of a cell"));
     r->has_cells = 1;
 done:
+    s->order = 0;
     return status;
 }
 
 static sfem_status sfemi_vtk_types(sfemi_vtk *r)
 {
     sfemi_scan *s = &r->s;
-    sfem_error *err = s->err;
-    sfem_status status = SFEM_OK;
-    sfem_int n = 0, i;
-    int64_t v;
+    sfem_status status;
+    sfem_int n = 0;
     if (r->has_types) return sfemi_scan_fail(s, SFEM_FORMAT, "CELL_TYPES a second time");
     if (!r->has_cells) return sfemi_scan_fail(s, SFEM_FORMAT, "CELL_TYPES come before CELLS");
     SFEMI_TRY(sfemi_scan_count(s, 2, "the count of cell types", &n));
@@ -5453,29 +7193,56 @@ static sfem_status sfemi_vtk_types(sfemi_vtk *r)
                                  (long)r->cells);
         goto done;
     }
-    SFEMI_NEW(unsigned char, r->type, &r->m.allocator, n);
-    for (i = 0; i < n; ++i) {
-        SFEMI_TRY(sfemi_scan_integer(s, 0, INT32_MAX, "a cell type", &v));
-        r->type[i] = (unsigned char)(v < 255 ? v : 255);
-    }
-    r->has_types = 1;
+    SFEMI_TRY(sfemi_vtk_begin(r));
+    SFEMI_TRY(sfemi_vtk_fill_types(r, s, sfemi_types + 10, n));
 done:
+    s->order = 0;
+    return status;
+}
+
+/* An array of values, of which only the regions of `cells` cells are kept; 0: the values are no cells'. */
+static sfem_status sfemi_vtk_array(sfemi_vtk *r, sfemi_word name, const sfemi_type *type, int64_t components,
+                                   int64_t tuples, sfem_int cells)
+{
+    sfem_status status;
+    SFEMI_TRY(sfemi_vtk_begin(r));
+    if (cells && !r->region_type && components == 1 && tuples == cells && (type->kind == 'i' || type->kind == 'u') &&
+        sfemi_vtk_names_region(name)) {
+        r->region_scan = r->s;
+        r->region_type = type;
+    }
+    SFEMI_TRY(sfemi_typed_skip(&r->s, type, components * tuples, "another value of an array"));
+done:
+    r->s.order = 0;
     return status;
 }
 
 /* FIELD name count, then so many arrays: name, components, tuples, type, values. */
-static sfem_status sfemi_vtk_field(sfemi_scan *s)
+static sfem_status sfemi_vtk_field(sfemi_vtk *r, sfem_int cells)
 {
+    sfemi_scan *s = &r->s;
+    const sfemi_type *type;
     sfem_status status;
+    sfemi_word name;
     int64_t arrays, components, tuples;
     SFEMI_TRY(sfemi_scan_skip_words(s, 1, "the name of a field"));
     SFEMI_TRY(sfemi_scan_integer(s, 0, INT32_MAX, "the count of arrays in a field", &arrays));
     for (; arrays > 0; --arrays) {
-        SFEMI_TRY(sfemi_scan_skip_words(s, 1, "the name of an array"));
+        name = sfemi_scan_word(s);
+        if (sfemi_word_is(name, "METADATA")) { /* of the array before */
+            do {
+                sfemi_scan_skip_line(s);
+                s->in_row = 1;
+                name = sfemi_scan_peek(s);
+                s->in_row = 0;
+            } while (name.n);
+            name = sfemi_scan_word(s);
+        }
+        if (!name.n) return sfemi_scan_expected(s, "the name of an array", name);
         SFEMI_TRY(sfemi_scan_integer(s, 0, INT32_MAX, "a count of components", &components));
         SFEMI_TRY(sfemi_scan_integer(s, 0, INT32_MAX, "a count of tuples", &tuples));
-        SFEMI_TRY(sfemi_scan_skip_words(s, 1, "the type of an array"));
-        SFEMI_TRY(sfemi_scan_skip_words(s, components * tuples, "another value of an array"));
+        SFEMI_TRY(sfemi_vtk_type(r, "the type of an array", &type));
+        SFEMI_TRY(sfemi_vtk_array(r, name, type, components, tuples, cells));
     }
 done:
     return status;
@@ -5493,64 +7260,59 @@ static void sfemi_vtk_skip_metadata(sfemi_scan *s)
     } while (w.n);
 }
 
-/* Nodes of a cell of a fixed shape, by type; 0 = any number. */
-static int sfemi_vtk_cell_nodes(int type)
+/* SCALARS name type [components] LOOKUP_TABLE name, and others of a name, a type and a fixed number of components. */
+static sfem_status sfemi_vtk_attribute(sfemi_vtk *r, int64_t components, sfem_int tuples, sfem_int cells)
 {
-    static const unsigned char nodes[15] = {0, 1, 0, 2, 0, 3, 0, 0, 4, 4, 4, 8, 8, 6, 5};
-    return type < 15 ? nodes[type] : 0;
-}
-
-/* The tets among the cells. */
-static sfem_status sfemi_vtk_tets(sfemi_vtk *r)
-{
-    sfemi_scan *s = &r->cell_scan;
-    sfem_error *err = s->err;
-    sfem_status status = SFEM_OK;
-    sfem_int i, t = 0, left = r->numbers;
-    int64_t nodes, v;
-    for (i = 0; i < r->cells; ++i) t += r->type[i] == 10;
-    SFEMI_NEW(sfem_int, r->m.tet, &r->m.allocator, 4 * (size_t)t);
-    for (i = 0; i < r->cells; ++i) {
-        int wanted = sfemi_vtk_cell_nodes(r->type[i]);
-        if (r->offset)
-            nodes = r->offset[i + 1] - r->offset[i];
-        else {
-            if (left < 1) {
-                status = sfemi_scan_fail(s, SFEM_FORMAT, "CELLS end in cell %ld of %ld", (long)i,
-                                         (long)r->cells);
-                goto done;
-            }
-            SFEMI_TRY(sfemi_scan_integer(s, 0, left - 1, "the count of nodes of a cell", &nodes));
-            --left;
-        }
-        if (wanted && nodes != wanted) {
-            sfemi_scan_space(s);
-            status = sfemi_scan_fail(s, SFEM_FORMAT, "cell %ld of type %d has %lld nodes, not %d",
-                                     (long)i, r->type[i], (long long)nodes, wanted);
-            goto done;
-        }
-        left -= (sfem_int)nodes;
-        if (r->type[i] != 10) {
-            SFEMI_TRY(sfemi_scan_skip_words(s, nodes, "another number of a cell"));
-            continue;
-        }
-        for (; nodes > 0; --nodes) {
-            SFEMI_TRY(sfemi_scan_integer(s, INT64_MIN, INT64_MAX, "a node of a tet", &v));
-            if (v < 0 || v >= r->m.nodes) {
-                status =
-                    sfemi_scan_fail(s, SFEM_BAD_MESH, "tet %ld names node %lld, the mesh has %ld",
-                                    (long)r->m.tets, (long long)v, (long)r->m.nodes);
-                if (s->err) s->err->tet = r->m.tets;
-                goto done;
-            }
-            r->m.tet[4 * (size_t)r->m.tets + (size_t)(4 - nodes)] = (sfem_int)v;
-        }
-        ++r->m.tets;
+    sfemi_scan *s = &r->s;
+    const sfemi_word name = sfemi_scan_word(s);
+    const sfemi_type *type;
+    sfem_status status;
+    SFEMI_TRY(sfemi_vtk_type(r, "the type of an array", &type));
+    if (!components) { /* SCALARS */
+        components = 1;
+        s->in_row = 1;
+        if (sfemi_scan_peek(s).n) status = sfemi_scan_integer(s, 1, 4, "a count of components", &components);
+        s->in_row = 0;
+        if (status != SFEM_OK) return status;
+        if (sfemi_word_is(sfemi_scan_peek(s), "LOOKUP_TABLE")) SFEMI_TRY(sfemi_scan_skip_words(s, 2, "a table"));
     }
-    if (left)
-        status = sfemi_scan_fail(s, SFEM_FORMAT, "CELLS have %ld numbers too many", (long)left);
+    status = sfemi_vtk_array(r, name, type, components, tuples, cells);
 done:
     return status;
+}
+
+/* What stands behind the mesh: the regions are looked for. What cannot be read there ends the search, not more: the
+ * mesh is complete. */
+static void sfemi_vtk_data(sfemi_vtk *r)
+{
+    static const struct {
+        const char *name;
+        int components; /* 0: told by a number */
+    } known[] = {{"SCALARS", 0}, {"VECTORS", 3}, {"NORMALS", 3}, {"TENSORS", 9}, {"GLOBAL_IDS", 1}, {"PEDIGREE_IDS", 1}};
+    sfemi_scan *s = &r->s;
+    sfem_error *err = s->err;
+    sfem_status status = SFEM_OK;
+    sfem_int tuples = 0, cells = 0;
+    sfemi_word w;
+    size_t k;
+    s->err = NULL;
+    while (status == SFEM_OK && !r->region_type && (w = sfemi_scan_word(s)).n) {
+        if (sfemi_word_is(w, "POINT_DATA") || sfemi_word_is(w, "CELL_DATA")) {
+            status = sfemi_scan_count(s, 1, "a count of tuples", &tuples);
+            cells = sfemi_word_is(w, "CELL_DATA") ? r->cells : 0;
+        } else if (sfemi_word_is(w, "FIELD"))
+            status = sfemi_vtk_field(r, cells);
+        else if (sfemi_word_is(w, "METADATA"))
+            sfemi_vtk_skip_metadata(s);
+        else {
+            for (k = 0; k < sizeof known / sizeof *known && !sfemi_word_is(w, known[k].name);) ++k;
+            if (k == sizeof known / sizeof *known) break;
+            status = sfemi_vtk_attribute(r, known[k].components, tuples, cells);
+        }
+    }
+    if (status != SFEM_OK) r->region_type = NULL;
+    s->err = err;
+    r->region_scan.err = err;
 }
 
 static sfem_status sfemi_vtk_read(sfemi_vtk *r)
@@ -5567,7 +7329,7 @@ static sfem_status sfemi_vtk_read(sfemi_vtk *r)
             s->p += w.n;
             has_dataset = 1;
         } else if (sfemi_word_is(w, "FIELD"))
-            status = sfemi_vtk_field(s);
+            status = sfemi_vtk_field(r, 0);
         else if (sfemi_word_is(w, "METADATA"))
             sfemi_vtk_skip_metadata(s);
         else if (!has_dataset)
@@ -5578,9 +7340,11 @@ static sfem_status sfemi_vtk_read(sfemi_vtk *r)
             status = sfemi_vtk_cells(r);
         else if (sfemi_word_is(w, "CELL_TYPES"))
             status = sfemi_vtk_types(r);
-        else if (sfemi_word_is(w, "POINT_DATA") || sfemi_word_is(w, "CELL_DATA"))
+        else if (sfemi_word_is(w, "POINT_DATA") || sfemi_word_is(w, "CELL_DATA")) {
+            s->p = w.p;
+            if (r->has_types) sfemi_vtk_data(r);
             break;
-        else
+        } else
             return sfemi_scan_expected(s, "POINTS, CELLS or CELL_TYPES", w);
     }
     if (status != SFEM_OK) return status;
@@ -5592,13 +7356,253 @@ static sfem_status sfemi_vtk_read(sfemi_vtk *r)
     return sfemi_vtk_tets(r);
 }
 
-/* ---- Medit .mesh ---- */
+/* ---- VTK XML (.vtu) ---- */
 
-/* Keywords, each followed by numbers in free format: lines mean nothing. */
+enum { SFEMI_VTU_POINTS, SFEMI_VTU_CONNECTIVITY, SFEMI_VTU_OFFSETS, SFEMI_VTU_TYPES, SFEMI_VTU_REGION, SFEMI_VTU_ARRAYS };
+
+typedef struct sfemi_vtu {
+    sfemi_vtk v;
+    struct {
+        const sfemi_type *type; /* NULL: there is no such array */
+        char format;            /* 'a' text, 'b' base64, both in place, '+' appended */
+        int64_t offset;         /* of the last */
+        sfemi_scan text;        /* of the others */
+        unsigned char *decoded; /* of base64 */
+    } array[SFEMI_VTU_ARRAYS];
+    sfemi_scan appended; /* behind the _ that it begins with; no p: there is nothing */
+    int header, base64;  /* bytes of the count in front of binary data; the appended data is base64 */
+    int order, has_file, has_piece;
+    int64_t points, cells;
+} sfemi_vtu;
+
+/* <VTKFile type byte_order header_type compressor> */
+static sfem_status sfemi_vtu_file(sfemi_vtu *r, const sfemi_tag *t)
+{
+    const sfemi_word type = sfemi_xml_attribute(t, "type"), compressor = sfemi_xml_attribute(t, "compressor");
+    char text[25];
+    if (!sfemi_word_is(type, "UnstructuredGrid"))
+        return sfemi_scan_fail(&r->v.s, SFEM_FORMAT, "a VTK file of %s: only UnstructuredGrid is read",
+                               sfemi_word_text(type, text));
+    if (compressor.n)
+        return sfemi_scan_fail(&r->v.s, SFEM_FORMAT,
+                               "compressed data is not read: write it raw (ParaView: Compressor Type None; vtk: "
+                               "SetCompressorTypeToNone(); meshio: compression=None)");
+    r->order = sfemi_word_is(sfemi_xml_attribute(t, "byte_order"), "BigEndian") ? 2 : 1;
+    r->header = sfemi_word_is(sfemi_xml_attribute(t, "header_type"), "UInt64") ? 8 : 4;
+    r->has_file = 1;
+    return SFEM_OK;
+}
+
+static sfem_status sfemi_vtu_piece(sfemi_vtu *r, const sfemi_tag *t)
+{
+    sfem_status status;
+    if (r->has_piece)
+        return sfemi_scan_fail(&r->v.s, SFEM_FORMAT, "a second Piece: merge them to one, in ParaView by Merge Blocks");
+    status = sfemi_xml_integer(&r->v.s, t, "NumberOfPoints", 0, &r->points);
+    if (status == SFEM_OK) status = sfemi_xml_integer(&r->v.s, t, "NumberOfCells", 0, &r->cells);
+    if (status == SFEM_OK && (r->points > INT32_MAX || r->cells > INT32_MAX))
+        status = sfemi_scan_fail(&r->v.s, SFEM_TOO_LARGE, "more than 2^31 - 1 points or cells");
+    r->has_piece = 1;
+    return status;
+}
+
+/* <DataArray>, of the part of the piece that `parent` names: noted if it is needed. */
+static sfem_status sfemi_vtu_array_tag(sfemi_vtu *r, const sfemi_tag *t, char parent)
+{
+    const sfemi_word name = sfemi_xml_attribute(t, "Name"), format = sfemi_xml_attribute(t, "format");
+    sfemi_scan *s = &r->v.s;
+    int k = SFEMI_VTU_ARRAYS;
+    int64_t components;
+    sfem_status status = sfemi_xml_integer(s, t, "NumberOfComponents", 0, &components);
+    if (status != SFEM_OK) return status;
+    if (parent == 'P') k = SFEMI_VTU_POINTS;
+    if (parent == 'C')
+        k = sfemi_word_is(name, "connectivity") ? SFEMI_VTU_CONNECTIVITY
+            : sfemi_word_is(name, "offsets")    ? SFEMI_VTU_OFFSETS
+            : sfemi_word_is(name, "types")      ? SFEMI_VTU_TYPES
+                                                : SFEMI_VTU_ARRAYS;
+    if (parent == 'D' && components <= 1 && sfemi_vtk_names_region(name)) k = SFEMI_VTU_REGION;
+    if (k == SFEMI_VTU_ARRAYS || (k == SFEMI_VTU_REGION && r->array[k].type)) return SFEM_OK;
+    if (r->array[k].type) return sfemi_scan_fail(s, SFEM_FORMAT, "an array of the mesh a second time");
+    if (k == SFEMI_VTU_POINTS && components && components != 3)
+        return sfemi_scan_fail(s, SFEM_FORMAT, "points of %lld components, not 3", (long long)components);
+    r->array[k].type = sfemi_type_find(sfemi_xml_attribute(t, "type"), SFEMI_TYPES);
+    if (!r->array[k].type->bytes) return sfemi_scan_expected(s, "a type of VTK", sfemi_xml_attribute(t, "type"));
+    if (k == SFEMI_VTU_REGION && r->array[k].type->kind == 'f') { /* some field of that name */
+        r->array[k].type = NULL;
+        return SFEM_OK;
+    }
+    r->array[k].format = sfemi_word_is(format, "appended") ? '+' : sfemi_word_is(format, "binary") ? 'b' : 'a';
+    r->array[k].text = *s;
+    if (t->empty)
+        r->array[k].text.end = s->p;
+    else {
+        const char *end = (const char *)memchr(s->p, '<', (size_t)(s->end - s->p));
+        r->array[k].text.end = end ? end : s->end;
+    }
+    return sfemi_xml_integer(s, t, "offset", 0, &r->array[k].offset);
+}
+
+/* <AppendedData encoding>, whose data begins behind a _. */
+static sfem_status sfemi_vtu_appended(sfemi_vtu *r, const sfemi_tag *t)
+{
+    r->base64 = sfemi_word_is(sfemi_xml_attribute(t, "encoding"), "base64");
+    r->appended = r->v.s;
+    if (t->empty) return SFEM_OK;
+    return sfemi_xml_past(&r->appended, "_");
+}
+
+/* Reads the size in front of binary data, which has to be `wanted` bytes, all of them there. */
+static sfem_status sfemi_vtu_size(sfemi_scan *s, int header, uint64_t wanted, const char *name)
+{
+    uint64_t bytes = 0;
+    const sfem_status status = sfemi_scan_bits(s, header, "the size of an array", &bytes);
+    if (status != SFEM_OK) return status;
+    if (bytes == wanted) return SFEM_OK;
+    return sfemi_scan_fail(s, SFEM_FORMAT, "%s has %lld bytes, not %lld", name, (long long)bytes, (long long)wanted);
+}
+
+/* Decodes base64 of so many bytes behind their size; s is then the scan of them. */
+static sfem_status sfemi_vtu_decode(sfemi_vtu *r, int k, uint64_t bytes, const char *name, sfemi_scan *s)
+{
+    const uint64_t have = (uint64_t)(s->end - s->p) / 4 * 3 + 3;
+    unsigned char head[8];
+    sfem_error *err = s->err;
+    sfem_status status;
+    sfemi_scan size = *s;
+    size_t n = sfemi_base64(s->p, s->end, head, (size_t)r->header);
+    size.p = (const char *)head;
+    size.end = size.p + (n == (size_t)-1 ? 0 : n);
+    size.order = r->order;
+    if (n != (size_t)-1) SFEMI_TRY(sfemi_vtu_size(&size, r->header, bytes, name));
+    if (n != (size_t)-1 && bytes <= have) {
+        SFEMI_NEW(unsigned char, r->array[k].decoded, &r->v.m.allocator, bytes + 8);
+        n = sfemi_base64(s->p, s->end, r->array[k].decoded, (size_t)bytes + (size_t)r->header);
+    }
+    if (n == (size_t)-1) return sfemi_scan_fail(s, SFEM_FORMAT, "%s is not base64", name);
+    if (n != bytes + (uint64_t)r->header)
+        return sfemi_scan_fail(s, SFEM_FORMAT, "%s has %lld bytes, but the data ends", name, (long long)bytes);
+    s->p = (const char *)r->array[k].decoded + r->header;
+    s->end = s->p + bytes;
+    s->order = r->order;
+done:
+    return status;
+}
+
+/* Makes s the scan of an array of `count` numbers, all of which are there, or wrong text. */
+static sfem_status sfemi_vtu_open(sfemi_vtu *r, int k, int64_t count, sfemi_scan *s)
+{
+    static const char *const name[SFEMI_VTU_ARRAYS] = {"Points", "connectivity", "offsets", "types", "the regions"};
+    sfem_status status = SFEM_OK;
+    uint64_t bytes;
+    if (!r->array[k].type) return sfemi_scan_fail(&r->v.s, SFEM_FORMAT, "the array %s is missing", name[k]);
+    *s = r->array[k].text;
+    if (r->array[k].format == '+') {
+        if (!r->appended.p) return sfemi_scan_fail(s, SFEM_FORMAT, "there is no AppendedData for %s", name[k]);
+        if (r->array[k].offset > r->appended.end - r->appended.p)
+            return sfemi_scan_fail(s, SFEM_FORMAT, "%s is beyond the end of AppendedData", name[k]);
+        *s = r->appended;
+        s->p += r->array[k].offset;
+    }
+    if (r->array[k].format == 'a') {
+        if ((uint64_t)count > ((uint64_t)(s->end - s->p) + 1) / 2)
+            return sfemi_scan_fail(s, SFEM_FORMAT, "%s has less than %lld numbers", name[k], (long long)count);
+        return SFEM_OK;
+    }
+    bytes = (uint64_t)count * r->array[k].type->bytes;
+    if (r->array[k].format == 'b' || r->base64) return sfemi_vtu_decode(r, k, bytes, name[k], s);
+    s->start = r->v.s.start;
+    s->order = r->order;
+    SFEMI_TRY(sfemi_vtu_size(s, r->header, bytes, name[k]));
+    if (bytes > (uint64_t)(s->end - s->p))
+        return sfemi_scan_fail(s, SFEM_FORMAT, "%s has %lld bytes, but the data ends", name[k], (long long)bytes);
+    s->end = s->p + bytes;
+done:
+    return status;
+}
+
+/* All tags, up to the appended data. */
+static sfem_status sfemi_vtu_tags(sfemi_vtu *r)
+{
+    static const char *const part[4] = {"Points", "Cells", "CellData", "PointData"};
+    sfemi_scan *s = &r->v.s;
+    sfem_status status;
+    sfemi_tag t;
+    char parent = 0;
+    int k;
+    for (;;) {
+        SFEMI_TRY(sfemi_xml_next(s, &t));
+        if (!t.name.n) break;
+        for (k = 0; k < 4; ++k)
+            if (sfemi_word_is(t.name, part[k])) parent = (char)(t.closing || t.empty ? 0 : "PCDN"[k]);
+        if (t.closing) continue;
+        if (sfemi_word_is(t.name, "VTKFile"))
+            SFEMI_TRY(sfemi_vtu_file(r, &t));
+        else if (!r->has_file)
+            return sfemi_scan_expected(s, "<VTKFile>", t.name);
+        else if (sfemi_word_is(t.name, "Piece"))
+            SFEMI_TRY(sfemi_vtu_piece(r, &t));
+        else if (sfemi_word_is(t.name, "DataArray") && parent)
+            SFEMI_TRY(sfemi_vtu_array_tag(r, &t, parent));
+        else if (sfemi_word_is(t.name, "AppendedData"))
+            return sfemi_vtu_appended(r, &t);
+    }
+done:
+    return status;
+}
+
+/* Text in place has to end with the last number. */
+static sfem_status sfemi_vtu_close(const sfemi_vtu *r, int k, sfemi_scan *s)
+{
+    const sfemi_word w = sfemi_scan_peek(s);
+    if (r->array[k].format != 'a' || !w.n) return SFEM_OK;
+    return sfemi_scan_expected(s, "the end of the array", w);
+}
+
+static sfem_status sfemi_vtu_read(sfemi_vtu *r)
+{
+    sfemi_vtk *v = &r->v;
+    const char *start = v->s.p;
+    sfem_status status;
+    sfemi_scan s;
+    SFEMI_TRY(sfemi_vtu_tags(r));
+    if (!r->has_piece) return sfemi_scan_fail(&v->s, SFEM_FORMAT, "there is no Piece");
+    v->s.start = start;
+    SFEMI_TRY(sfemi_vtu_open(r, SFEMI_VTU_POINTS, 3 * r->points, &s));
+    SFEMI_TRY(sfemi_vtk_fill_points(v, &s, r->array[SFEMI_VTU_POINTS].type, (sfem_int)r->points));
+    SFEMI_TRY(sfemi_vtu_close(r, SFEMI_VTU_POINTS, &s));
+    v->cells = (sfem_int)r->cells;
+    v->numbers = INT32_MAX;
+    SFEMI_TRY(sfemi_vtu_open(r, SFEMI_VTU_OFFSETS, r->cells, &s));
+    SFEMI_TRY(sfemi_vtk_fill_offsets(v, &s, r->array[SFEMI_VTU_OFFSETS].type, v->cells, 1));
+    SFEMI_TRY(sfemi_vtu_close(r, SFEMI_VTU_OFFSETS, &s));
+    v->numbers = v->offset[v->cells];
+    SFEMI_TRY(sfemi_vtu_open(r, SFEMI_VTU_TYPES, r->cells, &s));
+    SFEMI_TRY(sfemi_vtk_fill_types(v, &s, r->array[SFEMI_VTU_TYPES].type, v->cells));
+    SFEMI_TRY(sfemi_vtu_close(r, SFEMI_VTU_TYPES, &s));
+    SFEMI_TRY(sfemi_vtu_open(r, SFEMI_VTU_CONNECTIVITY, v->numbers, &v->cell_scan));
+    v->cell_type = r->array[SFEMI_VTU_CONNECTIVITY].type;
+    if (r->array[SFEMI_VTU_REGION].type) {
+        SFEMI_TRY(sfemi_vtu_open(r, SFEMI_VTU_REGION, r->cells, &v->region_scan));
+        v->region_type = r->array[SFEMI_VTU_REGION].type;
+    }
+    SFEMI_TRY(sfemi_vtk_tets(v));
+    SFEMI_TRY(sfemi_vtu_close(r, SFEMI_VTU_CONNECTIVITY, &v->cell_scan));
+    if (v->region_type) status = sfemi_vtu_close(r, SFEMI_VTU_REGION, &v->region_scan);
+done:
+    return status;
+}
+
+/* ---- Medit .mesh and .meshb ---- */
+
+/* Keywords, each followed by numbers in free format: lines mean nothing. In binary files keywords are numbers, each
+ * with the place of the next one. */
 typedef struct sfemi_medit {
     sfemi_scan s;
     sfem_mesh m;
+    sfemi_extra *x;
     int has_dimension, has_vertices, has_tets;
+    sfem_int triangles;
 } sfemi_medit;
 
 static sfem_status sfemi_medit_dimension(sfemi_medit *r)
@@ -5627,7 +7631,9 @@ static sfem_status sfemi_medit_vertices(sfemi_medit *r)
     for (i = 0; i < n; ++i) {
         for (k = 0; k < 3; ++k)
             SFEMI_TRY(sfemi_scan_real(s, "a coordinate", r->m.x + 3 * (size_t)i + k));
-        SFEMI_TRY(sfemi_scan_integer(s, INT64_MIN, INT64_MAX, "the reference of a vertex", &v));
+        SFEMI_TRY(sfemi_scan_size(s, INT64_MIN, INT64_MAX, "the reference of a vertex", &v));
+        SFEMI_TRY(sfemi_extra_in(r->x, 0, v));
+        if (r->x->ins) SFEMI_TRY(sfemi_extra_member(r->x, r->x->one, i));
     }
     r->m.nodes = n;
     r->has_vertices = 1;
@@ -5635,8 +7641,8 @@ done:
     return status;
 }
 
-/* The count; rows of four vertices, numbered from 1, and the reference. */
-static sfem_status sfemi_medit_tets(sfemi_medit *r)
+/* The count; rows of 4 or 10 vertices, numbered from 1, and the reference. */
+static sfem_status sfemi_medit_tets(sfemi_medit *r, int nodes)
 {
     sfemi_scan *s = &r->s;
     sfem_error *err = s->err;
@@ -5650,8 +7656,8 @@ static sfem_status sfemi_medit_tets(sfemi_medit *r)
     SFEMI_NEW(sfem_int, r->m.tet, &r->m.allocator, 4 * (size_t)n);
     SFEMI_NEW(sfem_int, r->m.region, &r->m.allocator, n);
     for (i = 0; i < n; ++i) {
-        for (k = 0; k < 4; ++k) {
-            SFEMI_TRY(sfemi_scan_integer(s, INT64_MIN, INT64_MAX, "a vertex of a tet", &v));
+        for (k = 0; k < nodes; ++k) {
+            SFEMI_TRY(sfemi_scan_size(s, INT64_MIN, INT64_MAX, "a vertex of a tet", &v));
             if (v < 1 || v > r->m.nodes) {
                 status = sfemi_scan_fail(s, SFEM_BAD_MESH,
                                          "tet %ld names vertex %lld, the vertices are 1 .. %ld",
@@ -5659,13 +7665,44 @@ static sfem_status sfemi_medit_tets(sfemi_medit *r)
                 if (s->err) s->err->tet = i;
                 goto done;
             }
-            r->m.tet[4 * (size_t)i + (size_t)k] = (sfem_int)v - 1;
+            if (k < 4) r->m.tet[4 * (size_t)i + (size_t)k] = (sfem_int)v - 1;
         }
-        SFEMI_TRY(sfemi_scan_integer(s, -INT32_MAX, INT32_MAX, "the reference of a tet", &v));
+        SFEMI_TRY(sfemi_scan_size(s, -INT32_MAX, INT32_MAX, "the reference of a tet", &v));
         r->m.region[i] = (sfem_int)v;
     }
-    r->m.tets = n;
+    if (nodes > 4 && !r->x->def.linear)
+        r->x->tets10 = n;
+    else
+        r->m.tets = n;
+    if (nodes > 4) r->x->info.linear = n;
     r->has_tets = 1;
+done:
+    return status;
+}
+
+/* A keyword: how many numbers each thing has, and which dimension if it is a cell of one less number of vertices. */
+typedef struct sfemi_medit_keyword {
+    const char *name;
+    int code, numbers, dimension; /* of binary files, -1: not needed; -1: no cell */
+} sfemi_medit_keyword;
+
+/* Lines, polygons and others: the count; rows of vertices and the reference. */
+static sfem_status sfemi_medit_cells(sfemi_medit *r, const sfemi_medit_keyword *word)
+{
+    sfemi_scan *s = &r->s;
+    const int nodes = word->numbers - 1;
+    sfem_status status;
+    sfem_int n = 0;
+    int64_t v[9], reference;
+    int k;
+    SFEMI_TRY(sfemi_scan_count(s, (size_t)(2 * word->numbers), word->name, &n));
+    for (; n > 0; --n) {
+        for (k = 0; k < nodes; ++k) SFEMI_TRY(sfemi_scan_size(s, 1, r->m.nodes, "a vertex", &v[k]));
+        SFEMI_TRY(sfemi_scan_size(s, INT64_MIN, INT64_MAX, "a reference", &reference));
+        SFEMI_TRY(sfemi_extra_in(r->x, word->dimension, reference));
+        sfemi_extra_begin(r->x, word->dimension, nodes);
+        for (k = 0; k < nodes; ++k) SFEMI_TRY(sfemi_extra_node(r->x, (sfem_int)v[k] - 1));
+    }
 done:
     return status;
 }
@@ -5677,51 +7714,59 @@ static int sfemi_medit_at_keyword(sfemi_scan *s)
     return !w.n || (*w.p >= 'a' && *w.p <= 'z') || (*w.p >= 'A' && *w.p <= 'Z');
 }
 
+/* The keyword of that name, or of that code if there is no name; NULL if it is not known. */
+static const sfemi_medit_keyword *sfemi_medit_find(sfemi_word name, int64_t code)
+{
+    static const sfemi_medit_keyword known[] = {{"Edges", 5, 3, 1},
+                                                {"Triangles", 6, 4, 2},
+                                                {"Quadrilaterals", 7, 5, 2},
+                                                {"Pyramids", 49, 6, 3},
+                                                {"Prisms", 9, 7, 3},
+                                                {"Pentahedra", -1, 7, 3},
+                                                {"Hexahedra", 10, 9, 3},
+                                                {"Corners", -1, 1, -1},
+                                                {"Ridges", -1, 1, -1},
+                                                {"RequiredVertices", -1, 1, -1},
+                                                {"RequiredEdges", -1, 1, -1},
+                                                {"RequiredTriangles", -1, 1, -1},
+                                                {"RequiredQuadrilaterals", -1, 1, -1},
+                                                {"Normals", -1, 3, -1},
+                                                {"Tangents", -1, 3, -1},
+                                                {"NormalAtVertices", -1, 2, -1},
+                                                {"NormalAtTriangleVertices", -1, 3, -1},
+                                                {"NormalAtQuadrilateralVertices", -1, 4, -1},
+                                                {"TangentAtVertices", -1, 2, -1},
+                                                {"TangentAtEdgeVertices", -1, 3, -1}};
+    size_t k;
+    for (k = 0; k < sizeof known / sizeof *known; ++k)
+        if (name.n ? sfemi_word_is(name, known[k].name) : known[k].code == code) return known + k;
+    return NULL;
+}
+
 /* Goes past what belongs to a keyword that is not needed: its count, and the numbers of each thing,
  * if the keyword is known; else all up to the next keyword. */
-static sfem_status sfemi_medit_skip(sfemi_scan *s, sfemi_word name)
+static sfem_status sfemi_medit_skip(sfemi_medit *r, sfemi_word name)
 {
-    static const struct {
-        const char *name;
-        int numbers;
-    } known[] = {{"Edges", 3},
-                 {"Triangles", 4},
-                 {"Quadrilaterals", 5},
-                 {"Pyramids", 6},
-                 {"Prisms", 7},
-                 {"Pentahedra", 7},
-                 {"Hexahedra", 9},
-                 {"Corners", 1},
-                 {"Ridges", 1},
-                 {"RequiredVertices", 1},
-                 {"RequiredEdges", 1},
-                 {"RequiredTriangles", 1},
-                 {"RequiredQuadrilaterals", 1},
-                 {"Normals", 3},
-                 {"Tangents", 3},
-                 {"NormalAtVertices", 2},
-                 {"NormalAtTriangleVertices", 3},
-                 {"NormalAtQuadrilateralVertices", 4},
-                 {"TangentAtVertices", 2},
-                 {"TangentAtEdgeVertices", 3}};
+    const sfemi_medit_keyword *word = sfemi_medit_find(name, 0);
+    sfemi_scan *s = &r->s;
     char what[64];
     sfem_status status;
     sfem_int n = 0;
     int64_t left;
-    size_t k;
-    for (k = 0; k < sizeof known / sizeof *known && !sfemi_word_is(name, known[k].name);) ++k;
-    if (k == sizeof known / sizeof *known) {
+    if (!word) {
         while (!sfemi_medit_at_keyword(s)) sfemi_scan_word(s);
         return SFEM_OK;
     }
-    snprintf(what, sizeof what, "the count of %s", known[k].name);
-    status = sfemi_scan_count(s, (size_t)(2 * known[k].numbers), what, &n);
-    snprintf(what, sizeof what, "another number of %s", known[k].name);
-    for (left = (int64_t)n * known[k].numbers; left > 0 && status == SFEM_OK; --left)
+    if (word->dimension >= 0 && (r->x->sets || r->x->faces)) return sfemi_medit_cells(r, word);
+    snprintf(what, sizeof what, "the count of %s", word->name);
+    status = sfemi_scan_count(s, (size_t)(2 * word->numbers), what, &n);
+    snprintf(what, sizeof what, "another number of %s", word->name);
+    for (left = (int64_t)n * word->numbers; left > 0 && status == SFEM_OK; --left)
         if (sfemi_medit_at_keyword(s))
             status = sfemi_scan_expected(s, what, sfemi_scan_peek(s));
         else
             sfemi_scan_word(s);
+    for (; n > 0 && word->dimension >= 0; --n) sfemi_extra_begin(r->x, word->dimension, word->numbers - 1);
     return status;
 }
 
@@ -5744,19 +7789,62 @@ static sfem_status sfemi_medit_read(sfemi_medit *r)
             SFEMI_TRY(sfemi_medit_dimension(r));
         else if (sfemi_word_is(w, "Vertices"))
             SFEMI_TRY(sfemi_medit_vertices(r));
-        else if (sfemi_word_is(w, "Tetrahedra"))
-            SFEMI_TRY(sfemi_medit_tets(r));
+        else if (sfemi_word_is(w, "Tetrahedra") || sfemi_word_is(w, "TetrahedraP2"))
+            SFEMI_TRY(sfemi_medit_tets(r, w.n > 10 ? 10 : 4));
         else
-            SFEMI_TRY(sfemi_medit_skip(s, w));
+            SFEMI_TRY(sfemi_medit_skip(r, w));
     }
-    if (!r->has_tets)
-        status = sfemi_scan_fail(s, SFEM_FORMAT, "there are no %s",
-                                 r->has_vertices ? "Tetrahedra" : "Vertices");
 done:
     return status;
 }
 
-/* ---- Vega .veg, TetGen .node and .ele ---- */
+/* One keyword of a binary file, whose data ends with s. */
+static sfem_status sfemi_medit_block(sfemi_medit *r, int64_t code)
+{
+    const sfemi_medit_keyword *word;
+    sfemi_word none;
+    none.p = NULL;
+    none.n = 0;
+    switch (code) {
+    case 3: return sfemi_medit_dimension(r);
+    case 4: return sfemi_medit_vertices(r);
+    case 8: return sfemi_medit_tets(r, 4);
+    case 30: return sfemi_medit_tets(r, 10);
+    default: word = sfemi_medit_find(none, code);
+    }
+    return word ? sfemi_medit_cells(r, word) : SFEM_OK;
+}
+
+static sfem_status sfemi_medit_read_binary(sfemi_medit *r)
+{
+    sfemi_scan *s = &r->s;
+    const char *end = s->end;
+    sfem_status status;
+    int64_t version = 0, code = 0;
+    uint64_t next = 0;
+    s->start = s->p;
+    s->order = *s->p == 1 ? 1 : 2; /* the integer 1 led here */
+    s->p += 4;
+    SFEMI_TRY(sfemi_scan_integer(s, 1, 4, "the version of Medit's format", &version));
+    s->size = version == 4 ? 8 : 4;
+    s->real = version == 1 ? 4 : 8;
+    while (s->p < end) {
+        SFEMI_TRY(sfemi_scan_integer(s, 1, INT32_MAX, "a keyword's number", &code));
+        if (code == 54) break; /* End */
+        SFEMI_TRY(sfemi_scan_bits(s, version >= 3 ? 8 : 4, "the place of the next keyword", &next));
+        if (next == 0) next = (uint64_t)(end - s->start); /* there is none */
+        if (next < (uint64_t)(s->p - s->start) || next > (uint64_t)(end - s->start))
+            return sfemi_scan_fail(s, SFEM_FORMAT, "the next keyword is at byte %.0f, not behind this one", (double)next);
+        s->end = s->start + next;
+        SFEMI_TRY(sfemi_medit_block(r, code));
+        s->p = s->end;
+        s->end = end;
+    }
+done:
+    return status;
+}
+
+/* ---- rows of numbers: Vega .veg, Abaqus .inp, TetGen .node and .ele ---- */
 
 #define SFEMI_INCLUDES 16 /* files that one .veg may include */
 
@@ -5766,15 +7854,34 @@ done:
 typedef struct sfemi_rows_name {
     sfemi_word name;
     sfem_int material;    /* its number, or -1: it is a set */
-    size_t first, behind; /* its tets in member[] */
+    sfem_int set[2];      /* of nodes, of tets, or -1 */
+    size_t head;          /* Abaqus: 1 + the last of its members, a list by next[] */
+    int defined;          /* not only named */
     size_t last;          /* 1 + the last of region[] that names this set */
     size_t bit, child[2]; /* the tree: the bit that is asked for, names by its value */
 } sfemi_rows_name;
 
+enum { SFEMI_ROWS_MATERIAL, SFEMI_ROWS_TETS, SFEMI_ROWS_NODES, SFEMI_ROWS_KINDS }; /* of names */
+
 typedef struct sfemi_rows_region {
-    size_t set; /* 1 + its place in name[]; 0: all tets */
-    sfem_int material;
+    size_t set;      /* 1 + its place in name[]; 0: all tets */
+    sfem_int number; /* of the region */
+    size_t material; /* 1 + its place in name[]; 0: none */
 } sfemi_rows_region;
+
+/* Rows of Abaqus that are read at the end. */
+typedef struct sfemi_inp_rows {
+    size_t name;
+    int elements, generate, outside; /* outside: numbers are of the assembly's own nodes */
+    sfemi_scan s;
+} sfemi_inp_rows;
+
+/* An element of Abaqus. */
+typedef struct sfemi_inp_element {
+    sfem_int tet;        /* or -1: */
+    sfem_int count;      /* its nodes, */
+    size_t first;        /* in other[] */
+} sfemi_inp_element;
 
 /* Both are rows of numbers, with comments from # on and commas as good as blanks. */
 typedef struct sfemi_rows {
@@ -5782,14 +7889,24 @@ typedef struct sfemi_rows {
     sfem_mesh m;
     sfem_int node_base, tet_base; /* the numbers of the first node and tet, mostly 0 or 1 */
     int has_nodes, has_tets;
-    /* .veg: */
+    sfemi_extra *x;
+    /* .veg, .inp: */
     sfemi_rows_name *name;     /* [names of names_room] */
-    sfem_int *member;          /* [members of members_room] tets of all sets, from 0 */
     sfemi_rows_region *region; /* [regions of regions_room] */
-    size_t names, names_room, members, members_room, regions, regions_room;
-    size_t root[2];     /* 1 + the first name of materials, of sets; 0: there is none */
+    sfem_region *material;     /* [materials of materials_room] their constants */
+    size_t names, names_room, regions, regions_room, materials_room;
+    size_t root[SFEMI_ROWS_KINDS]; /* 1 + the first name; 0: there is none */
     size_t last_of_all; /* 1 + the last of region[] that names all tets */
     sfem_int materials;
+    /* .inp: */
+    int inp, parts, instances, assembly, instance; /* the last two: it is in one */
+    sfemi_tags node, element;
+    sfemi_inp_element *elements; /* [element.used of elements_room] */
+    sfem_int *other;             /* [others of others_room] nodes of elements that are no tets */
+    sfem_int *block;             /* [tets] 1 + the place in name[] of its block's ELSET, or 0 */
+    size_t *next;                /* [x->members] 1 + the member before it of the same name, or 0 */
+    sfemi_inp_rows *later;       /* [laters of laters_room] */
+    size_t x_room, tet_room, elements_room, others, others_room, block_room, next_room, laters, laters_room, work;
     const char *path; /* of the file, or NULL: there is nothing to include from */
     int included, depth;
     char *text[SFEMI_INCLUDES];       /* [included] the names are in there */
@@ -5802,23 +7919,15 @@ static void sfemi_rows_free(sfemi_rows *r, const sfem_allocator *a)
     int i;
     for (i = 0; i < r->included; ++i) sfemi_delete(a, r->text[i]);
     sfemi_delete(a, r->name);
-    sfemi_delete(a, r->member);
     sfemi_delete(a, r->region);
-}
-
-/* Room for one thing more behind `used` of them; NULL if there is no memory. */
-static void *sfemi_rows_grow(const sfem_allocator *a, void *old, size_t used, size_t *room,
-                             size_t size)
-{
-    size_t more = *room ? 2 * *room : 16;
-    void *p;
-    if (used < *room) return old;
-    p = sfemi_new(a, more, size);
-    if (!p) return NULL;
-    if (used) memcpy(p, old, used * size);
-    sfemi_delete(a, old);
-    *room = more;
-    return p;
+    sfemi_delete(a, r->material);
+    sfemi_tags_free(&r->node, a);
+    sfemi_tags_free(&r->element, a);
+    sfemi_delete(a, r->elements);
+    sfemi_delete(a, r->other);
+    sfemi_delete(a, r->block);
+    sfemi_delete(a, r->next);
+    sfemi_delete(a, r->later);
 }
 
 /* The words up to the end of the row, or to a comma. */
@@ -5859,8 +7968,8 @@ done:
 }
 #endif
 
-/* *INCLUDE name: goes on in that file, then behind this row. A name that could lead out of the
- * folder of the first file is refused: meshes come from strangers. */
+/* *INCLUDE name, of Abaqus *INCLUDE, INPUT=name: goes on in that file, then behind this row. A name that could lead
+ * out of the folder of the first file is refused: meshes come from strangers. */
 static sfem_status sfemi_rows_include(sfemi_rows *r)
 {
     sfemi_scan *s = &r->s;
@@ -5868,6 +7977,13 @@ static sfem_status sfemi_rows_include(sfemi_rows *r)
     char text[25];
     size_t i;
     w = sfemi_rows_words(s);
+    if (r->inp)
+        for (i = 0; i < w.n; ++i)
+            if (w.p[i] == '=') {
+                w.p += i + 1, w.n -= i + 1;
+                while (w.n && sfemi_is_blank(*w.p)) ++w.p, --w.n;
+                break;
+            }
     if (!w.n) return sfemi_scan_expected(s, "the name of a file", w);
     if (!r->path)
         return sfemi_scan_fail(s, SFEM_FORMAT, "*INCLUDE %s: there is no file to include from",
@@ -5897,6 +8013,10 @@ static sfem_status sfemi_rows_next(sfemi_rows *r, int *any)
         sfemi_scan_space(s);
         if (s->p == s->end && r->depth > 0) {
             *s = r->outer[--r->depth];
+            continue;
+        }
+        if (r->inp && s->end - s->p >= 2 && s->p[0] == '*' && s->p[1] == '*') { /* a comment */
+            sfemi_scan_skip_line(s);
             continue;
         }
         *any = s->p < s->end;
@@ -5958,7 +8078,7 @@ static sfem_status sfemi_rows_nodes(sfemi_rows *r)
     sfemi_scan *s = &r->s;
     sfem_error *err = s->err;
     sfem_status status = SFEM_OK;
-    int64_t small[3] = {3, 0, 0};
+    int64_t small[3] = {3, 0, 0}, m, v;
     sfem_int n = 0, i;
     int k;
     if (r->has_nodes) return sfemi_scan_fail(s, SFEM_FORMAT, "*VERTICES a second time");
@@ -5970,7 +8090,12 @@ static sfem_status sfemi_rows_nodes(sfemi_rows *r)
         SFEMI_TRY(sfemi_rows_number(r, i, "the number of a node", &r->node_base));
         for (k = 0; k < 3; ++k)
             SFEMI_TRY(sfemi_scan_real(s, "a coordinate", r->m.x + 3 * (size_t)i + k));
-        SFEMI_TRY(sfemi_scan_skip_words(s, small[1] + small[2], "an attribute or marker"));
+        SFEMI_TRY(sfemi_scan_skip_words(s, small[1] + (r->x->sets ? 0 : small[2]), "an attribute or marker"));
+        for (m = 0; m < small[2] && r->x->sets; ++m) {
+            SFEMI_TRY(sfemi_scan_integer(s, -INT32_MAX, INT32_MAX, "an attribute or marker", &v));
+            SFEMI_TRY(sfemi_extra_in(r->x, 0, v));
+            if (r->x->ins) SFEMI_TRY(sfemi_extra_member(r->x, r->x->one, i));
+        }
         SFEMI_TRY(sfemi_scan_end_of_row(s, "the end of the node's line"));
     }
     r->m.nodes = n;
@@ -6012,13 +8137,19 @@ static sfem_status sfemi_rows_tets(sfemi_rows *r)
     if (r->has_tets) return sfemi_scan_fail(s, SFEM_FORMAT, "*ELEMENTS a second time");
     if (!r->has_nodes) return sfemi_scan_fail(s, SFEM_FORMAT, "*ELEMENTS come before *VERTICES");
     SFEMI_TRY(sfemi_rows_header(r, "the count of tets", &n, small));
-    if (small[0] != 4)
-        return sfemi_scan_fail(s, SFEM_FORMAT, "elements of %ld nodes, not 4", (long)small[0]);
+    if (small[0] != 4 && !(small[0] == 10 && r->x->def.linear))
+        return sfemi_scan_fail(s, SFEM_FORMAT,
+                               small[0] == 10 ? "elements of %ld nodes, not 4: %ld of them; the option 'linear' of "
+                                                "sfem_mesh_read_def reads them as 4-node tets"
+                                              : "elements of %ld nodes, not 4",
+                               (long)small[0], (long)n);
+    if (small[0] == 10) r->x->info.linear = n;
     SFEMI_NEW(sfem_int, r->m.tet, &r->m.allocator, 4 * (size_t)n);
     if (small[1]) SFEMI_NEW(sfem_int, r->m.region, &r->m.allocator, n);
     for (i = 0; i < n; ++i) {
         SFEMI_TRY(sfemi_rows_number(r, i, "the number of a tet", &r->tet_base));
         SFEMI_TRY(sfemi_rows_tet(r, i));
+        SFEMI_TRY(sfemi_scan_skip_words(s, small[0] - 4, "a node of a tet"));
         if (small[1]) {
             SFEMI_TRY(sfemi_scan_real(s, "the region of a tet", &region));
             if (!(fabs(region) <= INT32_MAX) || region != floor(region))
@@ -6058,15 +8189,15 @@ static size_t sfemi_rows_nearest(const sfemi_rows *r, sfemi_word w, size_t root)
 static int sfemi_rows_same(sfemi_word a, sfemi_word b) { return a.n == b.n && !memcmp(a.p, b.p, a.n); }
 
 /* The material or set of that name that came first, or NULL. */
-static sfemi_rows_name *sfemi_rows_find(const sfemi_rows *r, sfemi_word name, int set)
+static sfemi_rows_name *sfemi_rows_find(const sfemi_rows *r, sfemi_word name, int kind)
 {
     sfemi_rows_name *p;
-    if (!r->root[set] || !name.n) return NULL;
-    p = r->name + sfemi_rows_nearest(r, name, r->root[set] - 1);
+    if (!r->root[kind] || !name.n) return NULL;
+    p = r->name + sfemi_rows_nearest(r, name, r->root[kind] - 1);
     return sfemi_rows_same(p->name, name) ? p : NULL;
 }
 
-/* Puts name[i] into the tree, unless the name is there. */
+/* Puts name[i] into the tree of its kind, unless the name is there. */
 static void sfemi_rows_insert(sfemi_rows *r, size_t i, int set)
 {
     sfemi_rows_name *const name = r->name;
@@ -6092,34 +8223,64 @@ static void sfemi_rows_insert(sfemi_rows *r, size_t i, int set)
     name[from].child[sfemi_rows_bit(w, name[from].bit)] = i;
 }
 
-static sfem_status sfemi_rows_new_name(sfemi_rows *r, sfem_int material)
+/* A new name, which came as `name` and is told apart as `key`. */
+static sfem_status sfemi_rows_add_name(sfemi_rows *r, sfemi_word name, sfemi_word key, int kind, size_t *out)
 {
     const sfem_allocator *a = &r->m.allocator;
-    sfemi_word w = sfemi_rows_words(&r->s);
-    sfemi_rows_name *p;
-    if (!w.n) return sfemi_scan_expected(&r->s, "a name", w);
-    p = (sfemi_rows_name *)sfemi_rows_grow(a, r->name, r->names, &r->names_room, sizeof *p);
+    sfemi_rows_name *p = (sfemi_rows_name *)sfemi_grow(a, r->name, r->names, &r->names_room, sizeof *p);
+    sfem_region *material;
+    sfem_status status = SFEM_OK;
     if (!p) return sfemi_fail(r->s.err, SFEM_OUT_OF_MEMORY, "out of memory: names");
     r->name = p;
-    p += r->names++;
+    p += r->names;
     memset(p, 0, sizeof *p);
-    p->name = w;
-    p->material = material;
-    p->first = p->behind = r->members;
-    sfemi_rows_insert(r, r->names - 1, material < 0);
-    return sfemi_scan_end_of_row(&r->s, "the end of the line");
+    p->name = key;
+    p->material = p->set[0] = p->set[1] = -1;
+    if (kind == SFEMI_ROWS_MATERIAL) {
+        material = (sfem_region *)sfemi_grow(a, r->material, (size_t)r->materials, &r->materials_room, sizeof *material);
+        if (!material) return sfemi_fail(r->s.err, SFEM_OUT_OF_MEMORY, "out of memory: materials");
+        r->material = material;
+        memset(material + r->materials, 0, sizeof *material);
+        material[r->materials].material = material[r->materials].name = sfemi_extra_name(r->x, name);
+        if (!material[r->materials].name) return sfemi_extra_full(r->x);
+        p->material = r->materials++;
+    } else if (!r->inp || kind == SFEMI_ROWS_NODES)
+        status = sfemi_extra_set(r->x, name, kind == SFEMI_ROWS_TETS, p->set + (kind == SFEMI_ROWS_TETS));
+    *out = r->names++;
+    sfemi_rows_insert(r, *out, kind);
+    return status;
 }
 
-/* *MATERIAL name, then a law with its constants, which are the caller's business. */
+static sfem_status sfemi_rows_new_name(sfemi_rows *r, int kind)
+{
+    const sfemi_word w = sfemi_rows_words(&r->s);
+    size_t name;
+    sfem_status status;
+    if (!w.n) return sfemi_scan_expected(&r->s, "a name", w);
+    status = sfemi_rows_add_name(r, w, w, kind, &name);
+    return status != SFEM_OK ? status : sfemi_scan_end_of_row(&r->s, "the end of the line");
+}
+
+/* *MATERIAL name, then a law with its constants, of which those of ENU are kept: density, E, nu. */
 static sfem_status sfemi_veg_material(sfemi_rows *r)
 {
+    sfemi_scan *s = &r->s;
+    sfem_region *m;
     sfem_status status;
-    SFEMI_TRY(sfemi_rows_new_name(r, r->materials));
-    ++r->materials;
+    sfemi_word w;
+    SFEMI_TRY(sfemi_rows_new_name(r, SFEMI_ROWS_MATERIAL));
     SFEMI_TRY(sfemi_rows_need(r, "the law of a material"));
-    if (*r->s.p == '*')
-        return sfemi_scan_expected(&r->s, "the law of a material", sfemi_scan_peek(&r->s));
-    sfemi_scan_rest(&r->s);
+    if (*s->p == '*')
+        return sfemi_scan_expected(s, "the law of a material", sfemi_scan_peek(s));
+    w = sfemi_scan_word(s);
+    m = r->material + r->materials - 1;
+    if (sfemi_word_is(w, "ENU") && sfemi_scan_peek(s).n) {
+        SFEMI_TRY(sfemi_scan_real(s, "the density", &m->density));
+        SFEMI_TRY(sfemi_scan_real(s, "Young's modulus", &m->young));
+        SFEMI_TRY(sfemi_scan_real(s, "Poisson's ratio", &m->poisson));
+        m->has_elastic = m->has_density = 1;
+    }
+    sfemi_scan_rest(s);
 done:
     return status;
 }
@@ -6127,38 +8288,41 @@ done:
 /* *SET name, then numbers of tets up to the next row that begins with a *. */
 static sfem_status sfemi_veg_set(sfemi_rows *r)
 {
-    const sfem_allocator *a = &r->m.allocator;
     sfemi_scan *s = &r->s;
     sfem_status status = SFEM_OK;
-    sfem_int *p;
     int64_t v;
     int any;
     if (!r->has_tets) return sfemi_scan_fail(s, SFEM_FORMAT, "*SET comes before *ELEMENTS");
-    SFEMI_TRY(sfemi_rows_new_name(r, -1));
+    SFEMI_TRY(sfemi_rows_new_name(r, SFEMI_ROWS_TETS));
     for (;;) {
         SFEMI_TRY(sfemi_rows_next(r, &any));
         if (!any || *s->p == '*') break;
         while (sfemi_scan_peek(s).n) {
             SFEMI_TRY(sfemi_scan_integer(s, r->tet_base, (int64_t)r->tet_base + r->m.tets - 1,
                                          "the number of a tet in a set", &v));
-            p = (sfem_int *)sfemi_rows_grow(a, r->member, r->members, &r->members_room, sizeof *p);
-            if (!p) return sfemi_fail(s->err, SFEM_OUT_OF_MEMORY, "out of memory: sets");
-            r->member = p;
-            p[r->members++] = (sfem_int)v - r->tet_base;
+            SFEMI_TRY(sfemi_extra_member(r->x, r->name[r->names - 1].set[1], (sfem_int)v - r->tet_base));
         }
     }
-    r->name[r->names - 1].behind = r->members;
 done:
     return status;
+}
+
+static sfem_status sfemi_rows_add_region(sfemi_rows *r, const sfemi_rows_region *region)
+{
+    sfemi_rows_region *p =
+        (sfemi_rows_region *)sfemi_grow(&r->m.allocator, r->region, r->regions, &r->regions_room, sizeof *p);
+    if (!p) return sfemi_fail(r->s.err, SFEM_OUT_OF_MEMORY, "out of memory: regions");
+    r->region = p;
+    p[r->regions++] = *region;
+    *(region->set ? &r->name[region->set - 1].last : &r->last_of_all) = r->regions;
+    return SFEM_OK;
 }
 
 /* *REGION, then a row "set, material", where the set allElements is always there. */
 static sfem_status sfemi_veg_region(sfemi_rows *r)
 {
-    const sfem_allocator *al = &r->m.allocator;
-    const sfemi_rows_name *material;
-    sfemi_rows_name *set;
-    sfemi_rows_region *p;
+    const sfemi_rows_name *material, *set;
+    sfemi_rows_region region;
     sfemi_scan *s = &r->s;
     sfem_status status;
     sfemi_word a, b;
@@ -6168,43 +8332,57 @@ static sfem_status sfemi_veg_region(sfemi_rows *r)
     a = sfemi_rows_words(s);
     b = sfemi_rows_words(s);
     SFEMI_TRY(sfemi_scan_end_of_row(s, "the end of the line"));
-    set = sfemi_rows_find(r, a, 1);
-    material = sfemi_rows_find(r, b, 0);
+    set = sfemi_rows_find(r, a, SFEMI_ROWS_TETS);
+    material = sfemi_rows_find(r, b, SFEMI_ROWS_MATERIAL);
     if (!set && !sfemi_word_is(a, "allElements"))
         return sfemi_scan_fail(s, SFEM_FORMAT, "there is no *SET '%s' above",
                                sfemi_word_text(a, text));
     if (!material)
         return sfemi_scan_fail(s, SFEM_FORMAT, "there is no *MATERIAL '%s' above",
                                sfemi_word_text(b, text));
-    p = (sfemi_rows_region *)sfemi_rows_grow(al, r->region, r->regions, &r->regions_room, sizeof *p);
-    if (!p) return sfemi_fail(s->err, SFEM_OUT_OF_MEMORY, "out of memory: regions");
-    r->region = p;
-    p += r->regions++;
-    p->set = set ? (size_t)(set - r->name) + 1 : 0;
-    p->material = material->material;
-    *(set ? &set->last : &r->last_of_all) = r->regions;
+    region.set = set ? (size_t)(set - r->name) + 1 : 0;
+    region.number = material->material;
+    region.material = (size_t)(material - r->name) + 1;
+    status = sfemi_rows_add_region(r, &region);
 done:
     return status;
 }
 
-/* Gives the tets their regions at the end, when of those that name one set only the last one counts: each set is
- * gone through once. */
-static sfem_status sfemi_veg_fill_regions(sfemi_rows *r)
+/* Gives the tets their regions at the end: each that of the last of region[] which names a set that it is in. */
+static sfem_status sfemi_rows_fill_regions(sfemi_rows *r)
 {
+    const sfem_allocator *a = &r->m.allocator;
+    sfemi_extra *x = r->x;
     sfem_error *err = r->s.err;
     sfem_status status = SFEM_OK;
-    size_t i, k;
+    sfem_region *known;
+    size_t *last = NULL, *rank = NULL, i;
     if (!r->regions) return SFEM_OK;
-    SFEMI_NEW(sfem_int, r->m.region, &r->m.allocator, r->m.tets);
-    for (k = 0; k < (size_t)r->m.tets; ++k) r->m.region[k] = -1;
-    for (i = 0; i < r->regions; ++i) {
+    SFEMI_NEW(sfem_int, r->m.region, a, r->m.tets);
+    SFEMI_NEW(size_t, last, a, x->groups);
+    SFEMI_NEW(size_t, rank, a, r->m.tets);
+    for (i = 0; i < r->names; ++i)
+        if (r->name[i].set[1] >= 0) last[r->name[i].set[1]] = r->name[i].last;
+    for (i = 0; i < (size_t)r->m.tets; ++i) rank[i] = r->last_of_all;
+    for (i = 0; i < x->members; ++i) {
+        const sfem_int set = x->member[i][0], t = x->member[i][1];
+        if (x->group[set].of_tets && last[set] > rank[t]) rank[t] = last[set];
+    }
+    for (i = 0; i < (size_t)r->m.tets; ++i) r->m.region[i] = rank[i] ? r->region[rank[i] - 1].number : -1;
+    for (i = 0; i < r->regions && x->sets; ++i) {
         const sfemi_rows_region *p = r->region + i;
-        const sfemi_rows_name *set = p->set ? r->name + (p->set - 1) : NULL;
-        if (i + 1 != (set ? set->last : r->last_of_all)) continue;
-        for (k = 0; !set && k < (size_t)r->m.tets; ++k) r->m.region[k] = p->material;
-        for (k = set ? set->first : 0; set && k < set->behind; ++k) r->m.region[r->member[k]] = p->material;
+        known = sfemi_extra_region(x, p->number);
+        if (!known) {
+            status = sfemi_extra_full(x);
+            goto done;
+        }
+        if (p->material) *known = r->material[r->name[p->material - 1].material];
+        known->number = p->number;
+        if (r->inp) known->name = p->set && r->name[p->set - 1].set[1] >= 0 ? x->group[r->name[p->set - 1].set[1]].name : NULL;
     }
 done:
+    sfemi_delete(a, last);
+    sfemi_delete(a, rank);
     return status;
 }
 
@@ -6250,10 +8428,564 @@ static sfem_status sfemi_veg_read(sfemi_rows *r)
     if (!r->has_tets)
         return sfemi_scan_fail(s, SFEM_FORMAT, "there are no %s",
                                r->has_nodes ? "*ELEMENTS" : "*VERTICES");
-    status = sfemi_veg_fill_regions(r);
+    status = sfemi_rows_fill_regions(r);
 done:
     return status;
 }
+
+/* ---- Abaqus .inp ---- */
+
+/* A row that begins with a *: the keyword, and the parameters that matter. */
+typedef struct sfemi_inp_line {
+    sfemi_word keyword, type, nset, elset, name, material;
+    int generate, instance;
+} sfemi_inp_line;
+
+/* Did the row, which began at `row` and which s is at the end of, end in a comma? */
+static int sfemi_inp_continues(const sfemi_scan *s, const char *row)
+{
+    const char *p = s->p;
+    while (p > row && sfemi_is_blank(p[-1])) --p;
+    return p > row && p[-1] == ',';
+}
+
+static sfemi_word sfemi_inp_trim(const char *p, const char *end)
+{
+    sfemi_word w;
+    while (p < end && (sfemi_is_blank(*p) || *p == '"')) ++p;
+    while (end > p && (sfemi_is_blank(end[-1]) || end[-1] == '"')) --end;
+    w.p = p;
+    w.n = (size_t)(end - p);
+    return w;
+}
+
+/* Reads the row, and those that it goes on in: s is then at the end of the last. */
+static sfem_status sfemi_inp_keyword(sfemi_rows *r, sfemi_inp_line *l)
+{
+    sfemi_scan *s = &r->s;
+    const char *row = s->p;
+    sfem_status status = SFEM_OK;
+    int any;
+    memset(l, 0, sizeof *l);
+    l->keyword = sfemi_rows_words(s);
+    for (;;) {
+        const sfemi_word w = sfemi_rows_words(s);
+        const char *equals = w.n ? (const char *)memchr(w.p, '=', w.n) : NULL;
+        const sfemi_word key = sfemi_inp_trim(w.p, equals ? equals : w.p + w.n);
+        const sfemi_word value = sfemi_inp_trim(equals ? equals + 1 : w.p + w.n, w.p + w.n);
+        if (!w.n) {
+            if (!sfemi_inp_continues(s, row)) return SFEM_OK;
+            SFEMI_TRY(sfemi_rows_next(r, &any));
+            if (!any || *s->p == '*') return SFEM_OK;
+            row = s->p;
+            continue;
+        }
+        if (sfemi_word_is(key, "TYPE")) l->type = value;
+        if (sfemi_word_is(key, "NSET")) l->nset = value;
+        if (sfemi_word_is(key, "ELSET")) l->elset = value;
+        if (sfemi_word_is(key, "NAME")) l->name = value;
+        if (sfemi_word_is(key, "MATERIAL")) l->material = value;
+        if (sfemi_word_is(key, "GENERATE")) l->generate = 1;
+        if (sfemi_word_is(key, "INSTANCE")) l->instance = 1;
+    }
+done:
+    return status;
+}
+
+/* The name, which is made if there is none. Capitals count as small letters. */
+static sfem_status sfemi_inp_name(sfemi_rows *r, sfemi_word w, int kind, size_t *out)
+{
+    const sfemi_rows_name *found;
+    sfemi_word key;
+    char *p = (char *)sfemi_pool_own(&r->x->pool, sfemi_new(&r->m.allocator, w.n + 1, 1));
+    size_t i;
+    if (!p) return sfemi_extra_full(r->x);
+    for (i = 0; i < w.n; ++i) p[i] = (char)(w.p[i] >= 'A' && w.p[i] <= 'Z' ? w.p[i] - 'A' + 'a' : w.p[i]);
+    key.p = p;
+    key.n = w.n;
+    found = sfemi_rows_find(r, key, kind);
+    if (found) {
+        *out = (size_t)(found - r->name);
+        return SFEM_OK;
+    }
+    return sfemi_rows_add_name(r, w, key, kind, out);
+}
+
+/* Puts a node or a tet into a set; one of elements has two parts, of nodes and of tets, made when needed. */
+static sfem_status sfemi_inp_add(sfemi_rows *r, size_t name, sfemi_word text, int of_tets, sfem_int member)
+{
+    sfemi_extra *x = r->x;
+    sfemi_rows_name *n = r->name + name;
+    sfem_status status = SFEM_OK;
+    size_t *next;
+    if (n->set[of_tets] < 0) SFEMI_TRY(sfemi_extra_set(x, text, of_tets, &n->set[of_tets]));
+    SFEMI_TRY(sfemi_extra_member(x, n->set[of_tets], member));
+    next = (size_t *)sfemi_grow(&r->m.allocator, r->next, x->members - 1, &r->next_room, sizeof *next);
+    if (!next) return sfemi_extra_full(x);
+    r->next = next;
+    next[x->members - 1] = n->head;
+    n->head = x->members;
+done:
+    return status;
+}
+
+/* *NODE: rows of number and place. */
+static sfem_status sfemi_inp_nodes(sfemi_rows *r, const sfemi_inp_line *l)
+{
+    const sfem_allocator *a = &r->m.allocator;
+    sfemi_scan *s = &r->s;
+    sfem_status status;
+    sfem_real *x;
+    size_t set = 0;
+    int64_t v;
+    int any, k;
+    if (l->nset.n) SFEMI_TRY(sfemi_inp_name(r, l->nset, SFEMI_ROWS_NODES, &set));
+    if (l->nset.n) r->name[set].defined = 1;
+    for (;;) {
+        SFEMI_TRY(sfemi_rows_next(r, &any));
+        if (!any || *s->p == '*') break;
+        SFEMI_TRY(sfemi_scan_integer(s, 1, INT32_MAX, "the number of a node", &v));
+        SFEMI_TRY(sfemi_tags_room(&r->node, 1, a, s->err));
+        if (!sfemi_tags_add(&r->node, v))
+            return sfemi_scan_fail(s, SFEM_FORMAT, "node %ld a second time", (long)v);
+        x = (sfem_real *)sfemi_grow(a, r->m.x, (size_t)r->m.nodes, &r->x_room, 3 * sizeof *x);
+        if (!x) return sfemi_fail(s->err, SFEM_OUT_OF_MEMORY, "out of memory: nodes");
+        r->m.x = x;
+        x += 3 * (size_t)r->m.nodes;
+        for (k = 0; k < 3; ++k) SFEMI_TRY(sfemi_scan_real(s, "a coordinate", x + k));
+        if (l->nset.n) SFEMI_TRY(sfemi_inp_add(r, set, l->nset, 0, r->m.nodes));
+        ++r->m.nodes;
+        sfemi_scan_rest(s);
+    }
+    r->has_nodes = 1;
+done:
+    return status;
+}
+
+/* The cells that a type of elements names: nodes of a tet, else 0; the dimension; the corners of those of dimension
+ * 2. */
+static int sfemi_inp_shape(sfemi_word type, int *dimension, int *corners)
+{
+    static const struct {
+        const char *name; /* how the type begins */
+        int dimension, corners;
+    } known[] = {{"C3D", 3, 0},    {"DC3D", 3, 0}, {"AC3D", 3, 0}, {"SC", 3, 0},     {"STRI", 2, 3}, {"S3", 2, 3},
+                 {"S4", 2, 4},     {"S8", 2, 4},   {"S9", 2, 4},   {"S6", 2, 3},     {"CPS3", 2, 3}, {"CPS4", 2, 4},
+                 {"CPS6", 2, 3},   {"CPS8", 2, 4}, {"CPE3", 2, 3}, {"CPE4", 2, 4},   {"CPE6", 2, 3}, {"CPE8", 2, 4},
+                 {"M3D3", 2, 3},   {"M3D4", 2, 4}, {"M3D6", 2, 3}, {"M3D8", 2, 4},   {"R3D3", 2, 3}, {"R3D4", 2, 4},
+                 {"SFM3D3", 2, 3}, {"DS3", 2, 3},  {"DS4", 2, 4},  {"SFM3D4", 2, 4}};
+    sfemi_word w;
+    size_t k;
+    *dimension = 1;
+    *corners = 0;
+    for (k = 0; k < sizeof known / sizeof *known; ++k) {
+        w.p = type.p;
+        w.n = strlen(known[k].name);
+        if (w.n > type.n || !sfemi_word_is(w, known[k].name)) continue;
+        *dimension = known[k].dimension;
+        *corners = known[k].corners;
+        if (k > 0) return 0;
+        w.p += 3;
+        for (w.n = 0; w.p + w.n < type.p + type.n && w.p[w.n] >= '0' && w.p[w.n] <= '9';) ++w.n;
+        return sfemi_word_is(w, "4") ? 4 : sfemi_word_is(w, "10") ? 10 : 0;
+    }
+    return 0;
+}
+
+/* A node of an element by its number, in this row or the next: it may go on there. */
+static sfem_status sfemi_inp_node(sfemi_rows *r, sfem_int *node)
+{
+    sfem_status status = SFEM_OK;
+    int64_t v;
+    int any;
+    if (!sfemi_scan_peek(&r->s).n) {
+        SFEMI_TRY(sfemi_rows_next(r, &any));
+        if (!any || *r->s.p == '*') return sfemi_scan_expected(&r->s, "a node of an element", sfemi_scan_peek(&r->s));
+    }
+    SFEMI_TRY(sfemi_scan_integer(&r->s, 1, INT32_MAX, "a node of an element", &v));
+    *node = sfemi_tags_find(&r->node, v);
+    if (*node < 0)
+        status = sfemi_scan_fail(&r->s, SFEM_BAD_MESH, "an element names node %ld, which is not above", (long)v);
+done:
+    return status;
+}
+
+/* The next tet, of 4 or 10 nodes. */
+static sfem_status sfemi_inp_tet(sfemi_rows *r, int nodes, size_t block)
+{
+    const sfem_allocator *a = &r->m.allocator;
+    sfem_status status;
+    sfem_int *tet = (sfem_int *)sfemi_grow(a, r->m.tet, (size_t)r->m.tets, &r->tet_room, 4 * sizeof *tet), *in, node;
+    int k;
+    if (tet) r->m.tet = tet;
+    in = (sfem_int *)sfemi_grow(a, r->block, (size_t)r->m.tets, &r->block_room, sizeof *in);
+    if (in) r->block = in;
+    if (!tet || !in) return sfemi_fail(r->s.err, SFEM_OUT_OF_MEMORY, "out of memory: tets");
+    for (k = 0; k < nodes; ++k) {
+        SFEMI_TRY(sfemi_inp_node(r, &node));
+        if (k < 4) tet[4 * (size_t)r->m.tets + (size_t)k] = node;
+    }
+    r->x->info.linear += nodes > 4;
+    in[r->m.tets++] = (sfem_int)block;
+    sfemi_scan_rest(&r->s);
+done:
+    return status;
+}
+
+/* The nodes of another element: as many as stand in its row, and in the next ones while each ends in a comma. */
+static sfem_status sfemi_inp_other(sfemi_rows *r, sfemi_inp_element *e)
+{
+    sfemi_scan *s = &r->s;
+    const char *row = s->p;
+    sfem_status status = SFEM_OK;
+    sfem_int *grown, node;
+    int any;
+    e->first = r->others;
+    for (;;) {
+        if (!sfemi_scan_peek(s).n) {
+            if (!sfemi_inp_continues(s, row)) break;
+            SFEMI_TRY(sfemi_rows_next(r, &any));
+            if (!any || *s->p == '*') break;
+            row = s->p;
+        }
+        SFEMI_TRY(sfemi_inp_node(r, &node));
+        grown = (sfem_int *)sfemi_grow(&r->m.allocator, r->other, r->others, &r->others_room, sizeof *grown);
+        if (!grown) return sfemi_fail(s->err, SFEM_OUT_OF_MEMORY, "out of memory: elements");
+        r->other = grown;
+        grown[r->others++] = node;
+        if (++e->count == INT32_MAX) return sfemi_fail(s->err, SFEM_TOO_LARGE, "an element of 2^31 - 1 nodes");
+        SFEMI_TRY(sfemi_extra_node(r->x, node));
+    }
+done:
+    return status;
+}
+
+/* An element goes into a set: a tet as itself, any other by its nodes. */
+static sfem_status sfemi_inp_add_element(sfemi_rows *r, size_t name, sfemi_word text, size_t element)
+{
+    const sfemi_inp_element *e = r->elements + element;
+    sfem_status status = SFEM_OK;
+    sfem_int k;
+    if (e->tet >= 0) return sfemi_inp_add(r, name, text, 1, e->tet);
+    for (k = 0; k < e->count; ++k) SFEMI_TRY(sfemi_inp_add(r, name, text, 0, r->other[e->first + (size_t)k]));
+done:
+    return status;
+}
+
+/* *ELEMENT: rows of number and nodes. */
+static sfem_status sfemi_inp_elements(sfemi_rows *r, const sfemi_inp_line *l)
+{
+    const sfem_allocator *a = &r->m.allocator;
+    sfemi_scan *s = &r->s;
+    sfemi_extra *x = r->x;
+    sfemi_inp_element *e;
+    sfem_status status;
+    size_t set = 0;
+    int64_t v;
+    int any, dimension, corners;
+    const int nodes = sfemi_inp_shape(l->type, &dimension, &corners);
+    if (!l->type.n) return sfemi_scan_fail(s, SFEM_FORMAT, "*ELEMENT without a TYPE=");
+    if (l->elset.n) SFEMI_TRY(sfemi_inp_name(r, l->elset, SFEMI_ROWS_TETS, &set));
+    if (l->elset.n) r->name[set].defined = 1;
+    x->ins = 0;
+    for (;;) {
+        SFEMI_TRY(sfemi_rows_next(r, &any));
+        if (!any || *s->p == '*') break;
+        SFEMI_TRY(sfemi_scan_integer(s, 1, INT32_MAX, "the number of an element", &v));
+        SFEMI_TRY(sfemi_tags_room(&r->element, 1, a, s->err));
+        e = (sfemi_inp_element *)sfemi_grow(a, r->elements, r->element.used, &r->elements_room, sizeof *e);
+        if (!e) return sfemi_fail(s->err, SFEM_OUT_OF_MEMORY, "out of memory: elements");
+        r->elements = e;
+        e += r->element.used;
+        memset(e, 0, sizeof *e);
+        e->tet = -1;
+        if (!sfemi_tags_add(&r->element, v))
+            return sfemi_scan_fail(s, SFEM_FORMAT, "element %ld a second time", (long)v);
+        if (nodes == 4 || (nodes == 10 && x->def.linear)) {
+            e->tet = r->m.tets;
+            SFEMI_TRY(sfemi_inp_tet(r, nodes, l->elset.n ? set + 1 : 0));
+        } else {
+            if (nodes == 0) sfemi_extra_begin(x, dimension, corners);
+            x->tets10 += nodes == 10;
+            SFEMI_TRY(sfemi_inp_other(r, e));
+        }
+        if (l->elset.n) SFEMI_TRY(sfemi_inp_add_element(r, set, l->elset, r->element.used - 1));
+    }
+done:
+    return status;
+}
+
+/* *NSET, *ELSET: read at the end, when all nodes and elements are known. */
+static sfem_status sfemi_inp_set(sfemi_rows *r, const sfemi_inp_line *l, int elements)
+{
+    const sfemi_word name = elements ? l->elset : l->nset;
+    sfemi_inp_rows *p;
+    size_t set = 0;
+    sfem_status status;
+    if (!name.n) return sfemi_scan_fail(&r->s, SFEM_FORMAT, "a set without a name");
+    status = sfemi_inp_name(r, name, elements ? SFEMI_ROWS_TETS : SFEMI_ROWS_NODES, &set);
+    if (status != SFEM_OK) return status;
+    r->name[set].defined = 1;
+    p = (sfemi_inp_rows *)sfemi_grow(&r->m.allocator, r->later, r->laters, &r->laters_room, sizeof *p);
+    if (!p) return sfemi_extra_full(r->x);
+    r->later = p;
+    p += r->laters++;
+    p->name = set;
+    p->elements = elements;
+    p->generate = l->generate;
+    p->outside = r->assembly && !r->instance && !l->instance;
+    p->s = r->s;
+    return SFEM_OK;
+}
+
+/* A node or an element by number goes into a set; one that is not there does not, if it is `generated`. */
+static sfem_status sfemi_inp_put(sfemi_rows *r, const sfemi_inp_rows *p, sfemi_word text, int64_t number, int generated)
+{
+    const sfem_int at = sfemi_tags_find(p->elements ? &r->element : &r->node, number);
+    if (at >= 0)
+        return p->elements ? sfemi_inp_add_element(r, p->name, text, (size_t)at) : sfemi_inp_add(r, p->name, text, 0, at);
+    if (generated) return SFEM_OK;
+    return sfemi_scan_fail(&r->s, SFEM_BAD_MESH, "a set names %s %lld, which is not there", p->elements ? "element" : "node",
+                           (long long)number);
+}
+
+/* GENERATE: first, last, step. Numbers in between need not be there: the fewer of them and of all are tried. */
+static sfem_status sfemi_inp_generate(sfemi_rows *r, const sfemi_inp_rows *p, sfemi_word text)
+{
+    const sfemi_tags *all = p->elements ? &r->element : &r->node;
+    sfemi_scan *s = &r->s;
+    int64_t first, last, step = 1, count;
+    sfem_status status;
+    size_t i;
+    SFEMI_TRY(sfemi_scan_integer(s, 1, INT32_MAX, "the first number", &first));
+    SFEMI_TRY(sfemi_scan_integer(s, 1, INT32_MAX, "the last number", &last));
+    if (sfemi_scan_peek(s).n) SFEMI_TRY(sfemi_scan_integer(s, 1, INT32_MAX, "the step", &step));
+    count = last < first ? 0 : (last - first) / step + 1;
+    r->work += (size_t)count < all->used ? (size_t)count : all->used;
+    if (r->work > r->x->members_most)
+        return sfemi_scan_fail(s, SFEM_TOO_LARGE, "GENERATE of more than 4 numbers a byte of the file");
+    if ((size_t)count < all->used)
+        for (; first <= last; first += step) SFEMI_TRY(sfemi_inp_put(r, p, text, first, 1));
+    else
+        for (i = 0; i < all->used; ++i)
+            if (all->tag[i] >= first && all->tag[i] <= last && (all->tag[i] - first) % step == 0)
+                SFEMI_TRY(sfemi_inp_put(r, p, text, all->tag[i], 1));
+done:
+    return status;
+}
+
+/* The set of that name, as it is so far, goes into another one. */
+static sfem_status sfemi_inp_include(sfemi_rows *r, const sfemi_inp_rows *p, sfemi_word text, sfemi_word name)
+{
+    sfem_status status;
+    char found[25];
+    size_t from = 0, at;
+    SFEMI_TRY(sfemi_inp_name(r, name, p->elements ? SFEMI_ROWS_TETS : SFEMI_ROWS_NODES, &from));
+    if (!r->name[from].defined)
+        return sfemi_scan_fail(&r->s, SFEM_FORMAT, "there is no set '%s'", sfemi_word_text(name, found));
+    if (from == p->name) return SFEM_OK;
+    for (at = r->name[from].head; at; at = r->next[at - 1]) {
+        const sfem_int *m = r->x->member[at - 1];
+        SFEMI_TRY(sfemi_inp_add(r, p->name, text, r->x->group[m[0]].of_tets, m[1]));
+    }
+done:
+    return status;
+}
+
+/* The rows of a set. */
+static sfem_status sfemi_inp_members(sfemi_rows *r, const sfemi_inp_rows *p)
+{
+    sfemi_scan *s = &r->s;
+    const sfemi_word text = r->name[p->name].name;
+    sfem_status status;
+    sfemi_word w;
+    int64_t v;
+    int any;
+    r->s = p->s;
+    r->depth = 0;
+    for (;;) {
+        SFEMI_TRY(sfemi_rows_next(r, &any));
+        if (!any || *s->p == '*') break;
+        if (p->generate) {
+            if (!p->outside) SFEMI_TRY(sfemi_inp_generate(r, p, text));
+            sfemi_scan_rest(s);
+            continue;
+        }
+        while ((w = sfemi_scan_peek(s)).n) {
+            if (*w.p < '0' || *w.p > '9') {
+                w = sfemi_rows_words(s);
+                SFEMI_TRY(sfemi_inp_include(r, p, text, sfemi_inp_trim(w.p, w.p + w.n)));
+                continue;
+            }
+            SFEMI_TRY(sfemi_scan_integer(s, 0, INT32_MAX, "a number in a set", &v));
+            if (!p->outside) SFEMI_TRY(sfemi_inp_put(r, p, text, v, 0));
+        }
+    }
+done:
+    return status;
+}
+
+/* *SOLID SECTION: the tets of a set have a material, and a region of their own. */
+static sfem_status sfemi_inp_section(sfemi_rows *r, const sfemi_inp_line *l)
+{
+    sfemi_rows_region region;
+    sfem_status status;
+    size_t name = 0;
+    if (!l->elset.n) return sfemi_scan_fail(&r->s, SFEM_FORMAT, "*SOLID SECTION without an ELSET=");
+    if (r->regions == INT32_MAX) return sfemi_scan_fail(&r->s, SFEM_TOO_LARGE, "more than 2^31 - 1 sections");
+    SFEMI_TRY(sfemi_inp_name(r, l->elset, SFEMI_ROWS_TETS, &name));
+    region.set = name + 1;
+    region.number = (sfem_int)r->regions;
+    region.material = 0;
+    if (l->material.n) {
+        SFEMI_TRY(sfemi_inp_name(r, l->material, SFEMI_ROWS_MATERIAL, &name));
+        region.material = name + 1;
+    }
+    status = sfemi_rows_add_region(r, &region);
+done:
+    return status;
+}
+
+/* The first row of *ELASTIC (young and poisson, isotropic) or *DENSITY of the last material. */
+static sfem_status sfemi_inp_constants(sfemi_rows *r, const sfemi_inp_line *l, sfem_int material, int elastic)
+{
+    sfem_region *m;
+    sfem_status status = SFEM_OK;
+    int any;
+    if (material < 0 || (l->type.n && !sfemi_word_is(l->type, "ISOTROPIC") && !sfemi_word_is(l->type, "ISO"))) return SFEM_OK;
+    SFEMI_TRY(sfemi_rows_next(r, &any));
+    if (!any || *r->s.p == '*') return SFEM_OK;
+    m = r->material + material;
+    if (elastic) {
+        SFEMI_TRY(sfemi_scan_real(&r->s, "Young's modulus", &m->young));
+        m->poisson = 0;
+        if (sfemi_scan_peek(&r->s).n) SFEMI_TRY(sfemi_scan_real(&r->s, "Poisson's ratio", &m->poisson));
+        m->has_elastic = 1;
+    } else {
+        SFEMI_TRY(sfemi_scan_real(&r->s, "the density", &m->density));
+        m->has_density = 1;
+    }
+    sfemi_scan_rest(&r->s);
+done:
+    return status;
+}
+
+/* *PART and *INSTANCE: one of each, where the part is in its own place. */
+static sfem_status sfemi_inp_part(sfemi_rows *r, int instance)
+{
+    sfem_status status = SFEM_OK;
+    int any;
+    if (++*(instance ? &r->instances : &r->parts) > 1)
+        return sfemi_scan_fail(&r->s, SFEM_FORMAT,
+                               "a second %s: only one is read; write the input without parts and assemblies",
+                               instance ? "*INSTANCE" : "*PART");
+    if (!instance) return SFEM_OK;
+    SFEMI_TRY(sfemi_rows_next(r, &any));
+    if (any && *r->s.p != '*')
+        status = sfemi_scan_fail(&r->s, SFEM_FORMAT,
+                                 "an *INSTANCE that is moved is not read: write the input without parts and assemblies");
+done:
+    return status;
+}
+
+/* What a keyword begins; rows of others are passed over. */
+static sfem_status sfemi_inp_block(sfemi_rows *r, const sfemi_inp_line *l, sfem_int *material)
+{
+    static const char *const refused[] = {"*NGEN", "*NFILL", "*NCOPY", "*ELGEN", "*ELCOPY", "*NMAP"};
+    const sfemi_word w = l->keyword;
+    char text[25];
+    size_t k, name = 0;
+    for (k = 0; k < sizeof refused / sizeof *refused; ++k)
+        if (sfemi_word_is(w, refused[k]))
+            return sfemi_scan_fail(&r->s, SFEM_FORMAT, "%s is not read: write all nodes and elements",
+                                   sfemi_word_text(w, text));
+    if (sfemi_word_is(w, "*ASSEMBLY") || sfemi_word_is(w, "*END ASSEMBLY")) r->assembly = w.n == 9;
+    if (sfemi_word_is(w, "*INSTANCE") || sfemi_word_is(w, "*END INSTANCE")) r->instance = w.n == 9;
+    if (!r->assembly || r->instance) { /* an assembly's own nodes, reference points, are passed over */
+        if (sfemi_word_is(w, "*NODE")) return sfemi_inp_nodes(r, l);
+        if (sfemi_word_is(w, "*ELEMENT")) return sfemi_inp_elements(r, l);
+    }
+    if (sfemi_word_is(w, "*NSET")) return sfemi_inp_set(r, l, 0);
+    if (sfemi_word_is(w, "*ELSET")) return sfemi_inp_set(r, l, 1);
+    if (sfemi_word_is(w, "*SOLID SECTION")) return sfemi_inp_section(r, l);
+    if (sfemi_word_is(w, "*PART")) return sfemi_inp_part(r, 0);
+    if (sfemi_word_is(w, "*INSTANCE")) return sfemi_inp_part(r, 1);
+    if (sfemi_word_is(w, "*ELASTIC")) return sfemi_inp_constants(r, l, *material, 1);
+    if (sfemi_word_is(w, "*DENSITY")) return sfemi_inp_constants(r, l, *material, 0);
+    if (sfemi_word_is(w, "*MATERIAL")) {
+        const sfem_status status = sfemi_inp_name(r, l->name, SFEMI_ROWS_MATERIAL, &name);
+        if (status == SFEM_OK) {
+            *material = r->name[name].material;
+            r->name[name].defined = 1;
+        }
+        return status;
+    }
+    return SFEM_OK;
+}
+
+/* Without sections the ELSET= of the tets' blocks are regions. */
+static sfem_status sfemi_inp_block_regions(sfemi_rows *r)
+{
+    sfemi_rows_region region;
+    sfem_error *err = r->s.err;
+    sfem_status status = SFEM_OK;
+    sfem_int *number = NULL, t;
+    region.material = 0;
+    SFEMI_NEW(sfem_int, number, &r->m.allocator, r->names + 1);
+    for (t = 0; t < r->m.tets; ++t) {
+        if (!r->block[t] || number[r->block[t]]) continue;
+        region.set = (size_t)r->block[t];
+        region.number = (sfem_int)r->regions;
+        SFEMI_TRY(sfemi_rows_add_region(r, &region));
+        number[r->block[t]] = (sfem_int)r->regions;
+    }
+done:
+    sfemi_delete(&r->m.allocator, number);
+    return status;
+}
+
+/* Sets and materials that are only named are missing. */
+static sfem_status sfemi_inp_check(const sfemi_rows *r)
+{
+    char text[25];
+    size_t i;
+    for (i = 0; i < r->names; ++i)
+        if (!r->name[i].defined)
+            return sfemi_fail(r->s.err, SFEM_FORMAT, "a *SOLID SECTION names '%s', which is not there",
+                              sfemi_word_text(r->name[i].name, text));
+    return SFEM_OK;
+}
+
+static sfem_status sfemi_inp_read(sfemi_rows *r)
+{
+    sfemi_scan *s = &r->s;
+    sfem_status status;
+    sfemi_inp_line l;
+    sfem_int material = -1;
+    size_t i;
+    int any;
+    r->inp = 1;
+    s->blank = ',';
+    for (;;) {
+        SFEMI_TRY(sfemi_rows_next(r, &any));
+        if (!any) break;
+        if (*s->p != '*') { /* rows that are not needed */
+            sfemi_scan_rest(s);
+            continue;
+        }
+        SFEMI_TRY(sfemi_inp_keyword(r, &l));
+        SFEMI_TRY(sfemi_inp_block(r, &l, &material));
+    }
+    if (!r->has_nodes) return sfemi_scan_fail(s, SFEM_FORMAT, "there are no *NODE");
+    for (i = 0; i < r->laters; ++i) SFEMI_TRY(sfemi_inp_members(r, r->later + i));
+    SFEMI_TRY(sfemi_inp_check(r));
+    if (!r->regions) SFEMI_TRY(sfemi_inp_block_regions(r));
+    status = sfemi_rows_fill_regions(r);
+done:
+    return status;
+}
+
+/* ---- TetGen .node and .ele ---- */
 
 /* One of the two files of TetGen, to its end. */
 static sfem_status sfemi_tetgen_file(sfemi_rows *r, const sfemi_scan *s, const char *file)
@@ -6273,88 +9005,168 @@ done:
 
 /* ---- any of them ---- */
 
-static sfem_status sfemi_mesh_parse_gmsh(const sfemi_scan *s, const sfem_allocator *a,
-                                         sfem_mesh *out)
-{
-    sfemi_gmsh g;
-    sfem_status status;
-    memset(&g, 0, sizeof g);
-    g.s = *s;
-    g.m.allocator = *a;
-    status = sfemi_gmsh_read(&g);
-    sfemi_tags_free(&g.node, a);
-    sfemi_tags_free(&g.volume, a);
-    sfemi_delete(a, g.group);
-    *out = g.m;
-    return status;
-}
-
-static sfem_status sfemi_mesh_parse_vtk(const sfemi_scan *s, const sfem_allocator *a,
-                                        sfem_mesh *out)
-{
-    sfemi_vtk r;
-    sfem_status status;
-    memset(&r, 0, sizeof r);
-    r.s = *s;
-    r.m.allocator = *a;
-    status = sfemi_vtk_read(&r);
-    sfemi_delete(a, r.offset);
-    sfemi_delete(a, r.type);
-    *out = r.m;
-    return status;
-}
-
-static sfem_status sfemi_mesh_parse_medit(const sfemi_scan *s, const sfem_allocator *a,
-                                          sfem_mesh *out)
-{
-    sfemi_medit r;
-    sfem_status status;
-    memset(&r, 0, sizeof r);
-    r.s = *s;
-    r.m.allocator = *a;
-    status = sfemi_medit_read(&r);
-    *out = r.m;
-    return status;
-}
-
-/* A .veg; with a second text, the .node and the .ele file of TetGen. */
-static sfem_status sfemi_mesh_parse_rows(const sfemi_scan *s, const sfemi_scan *ele,
-                                         const char *path, const sfem_allocator *a, sfem_mesh *out)
-{
-    sfemi_rows r;
-    sfem_status status;
-    memset(&r, 0, sizeof r);
-    r.s = *s;
-    r.path = path;
-    r.m.allocator = *a;
-    status = ele ? sfemi_tetgen_file(&r, s, ".node") : sfemi_veg_read(&r);
-    if (status == SFEM_OK && ele) status = sfemi_tetgen_file(&r, ele, ".ele");
-    sfemi_rows_free(&r, a);
-    *out = r.m;
-    return status;
-}
-
-/* What every reader ends with. */
-static sfem_status sfemi_mesh_parsed(sfem_status status, sfem_mesh *m, sfem_mesh *out,
-                                     sfem_error *err)
-{
-    if (status == SFEM_OK && m->tets < 1)
-        status = sfemi_fail(err, SFEM_BAD_MESH, "there are %ld nodes, but no 4-node tets",
-                            (long)m->nodes);
-    if (status == SFEM_OK) {
-        sfem_mesh_orient(m);
-        *out = *m;
-    } else
-        sfem_mesh_free(m);
-    return status;
-}
-
 static int sfemi_scan_begins(const sfemi_scan *s, const char *text)
 {
     sfemi_word w;
     w.p = s->p;
     w.n = strlen(text);
     return (size_t)(s->end - s->p) >= w.n && sfemi_word_is(w, text);
+}
+
+static sfem_status sfemi_mesh_parse_gmsh(const sfemi_scan *s, sfemi_extra *x, sfem_mesh *out)
+{
+    const sfem_allocator *a = &x->def.allocator;
+    sfemi_gmsh g;
+    sfem_status status;
+    memset(&g, 0, sizeof g);
+    g.s = *s;
+    g.x = x;
+    g.m.allocator = *a;
+    status = sfemi_gmsh_read(&g);
+    sfemi_tags_free(&g.node, a);
+    sfemi_tags_free(&g.entity, a);
+    sfemi_delete(a, g.groups);
+    sfemi_delete(a, g.group);
+    sfemi_delete(a, g.in);
+    *out = g.m;
+    return status;
+}
+
+static sfem_status sfemi_mesh_parse_vtk(const sfemi_scan *s, int xml, sfemi_extra *x, sfem_mesh *out)
+{
+    const sfem_allocator *a = &x->def.allocator;
+    sfemi_vtu r;
+    sfem_status status;
+    int k;
+    memset(&r, 0, sizeof r);
+    r.v.s = *s;
+    r.v.x = x;
+    r.v.m.allocator = *a;
+    status = xml ? sfemi_vtu_read(&r) : sfemi_vtk_read(&r.v);
+    for (k = 0; k < SFEMI_VTU_ARRAYS; ++k) sfemi_delete(a, r.array[k].decoded);
+    sfemi_delete(a, r.v.offset);
+    sfemi_delete(a, r.v.type);
+    *out = r.v.m;
+    return status;
+}
+
+static sfem_status sfemi_mesh_parse_medit(const sfemi_scan *s, int binary, sfemi_extra *x, sfem_mesh *out)
+{
+    sfemi_medit r;
+    sfem_status status;
+    memset(&r, 0, sizeof r);
+    r.s = *s;
+    r.x = x;
+    r.m.allocator = x->def.allocator;
+    status = binary ? sfemi_medit_read_binary(&r) : sfemi_medit_read(&r);
+    if (status == SFEM_OK && !r.has_tets && !(r.has_vertices && x->faces)) {
+        if (r.has_vertices && x->info.triangles)
+            status = sfemi_scan_fail(&r.s, SFEM_FORMAT,
+                                     "there are no Tetrahedra, but %ld triangles: sfem_mesh_from_surface makes tets of them",
+                                     (long)x->info.triangles);
+        else
+            status = sfemi_scan_fail(&r.s, SFEM_FORMAT, "there are no %s", r.has_vertices ? "Tetrahedra" : "Vertices");
+    }
+    *out = r.m;
+    return status;
+}
+
+/* A .veg, or with inp a .inp; with a second text the .node and the .ele file of TetGen. */
+static sfem_status sfemi_mesh_parse_rows(const sfemi_scan *s, const sfemi_scan *ele, int inp, const char *path,
+                                         sfemi_extra *x, sfem_mesh *out)
+{
+    const sfem_allocator *a = &x->def.allocator;
+    sfemi_rows r;
+    sfem_status status;
+    memset(&r, 0, sizeof r);
+    r.s = *s;
+    r.path = path;
+    r.x = x;
+    r.m.allocator = *a;
+    status = ele ? sfemi_tetgen_file(&r, s, ".node") : inp ? sfemi_inp_read(&r) : sfemi_veg_read(&r);
+    if (status == SFEM_OK && ele) status = sfemi_tetgen_file(&r, ele, ".ele");
+    sfemi_rows_free(&r, a);
+    *out = r.m;
+    return status;
+}
+
+/* Is this a mesh, with tets that can be used? */
+static sfem_status sfemi_mesh_parsed_check(const sfemi_extra *x, const sfem_mesh *m)
+{
+    if (x->tets10 && !x->def.linear)
+        return sfemi_fail(x->err, SFEM_BAD_MESH,
+                          "there are %ld tets of 10 nodes: the option 'linear' of sfem_mesh_read_def reads them as 4-node tets",
+                          (long)x->tets10);
+    if (m->tets > 0) return SFEM_OK;
+    if (x->info.triangles)
+        return sfemi_fail(x->err, SFEM_BAD_MESH,
+                          "there are %ld nodes and %ld triangles, but no 4-node tets: sfem_mesh_from_surface makes tets of "
+                          "triangles",
+                          (long)m->nodes, (long)x->info.triangles);
+    return sfemi_fail(x->err, SFEM_BAD_MESH, "there are %ld nodes, but no 4-node tets", (long)m->nodes);
+}
+
+/* Takes out or joins the nodes that the options say. */
+static sfem_status sfemi_mesh_parsed_nodes(sfemi_extra *x, sfem_mesh *m)
+{
+    const sfem_int before = m->nodes;
+    sfem_error *err = x->err;
+    sfem_status status = SFEM_OK;
+    sfem_int *map = NULL;
+    if (!x->info.linear && !x->def.weld) return SFEM_OK;
+    SFEMI_NEW(sfem_int, map, &m->allocator, m->nodes);
+    if (x->info.linear) {
+        SFEMI_TRY(sfem_mesh_remove_unused(m, map, err));
+        sfemi_extra_map(x, map);
+        x->info.removed = before - m->nodes;
+    }
+    if (x->def.weld) {
+        SFEMI_TRY(sfem_mesh_weld(m, x->def.weld_distance, map, &x->info.welded, err));
+        sfemi_extra_map(x, map);
+    }
+done:
+    sfemi_delete(&m->allocator, map);
+    return status;
+}
+
+/* What every reader ends with. Frees x. */
+static sfem_status sfemi_mesh_parsed(sfem_status status, sfemi_extra *x, sfem_mesh *m, sfem_mesh *out, sfem_mesh_sets *sets,
+                                     sfem_mesh_read_info *info)
+{
+    if (status == SFEM_OK) status = sfemi_mesh_parsed_check(x, m);
+    if (status == SFEM_OK) status = sfemi_mesh_parsed_nodes(x, m);
+    if (status == SFEM_OK && sets) {
+        status = sfemi_extra_sort(x, m);
+        if (status == SFEM_OK) status = sfemi_extra_regions(x, m);
+        if (status == SFEM_OK) status = sfemi_extra_give(x, sets);
+    }
+    if (status == SFEM_OK) {
+        x->info.swapped = sfem_mesh_orient(m);
+        *out = *m;
+        if (info) *info = x->info;
+    } else
+        sfem_mesh_free(m);
+    sfemi_extra_free(x);
+    return status;
+}
+
+SFEM_DEF sfem_mesh_read_def sfem_default_mesh_read_def(void)
+{
+    sfem_mesh_read_def def;
+    memset(&def, 0, sizeof def);
+    return def;
+}
+
+static sfemi_extra sfemi_extra_of(const sfem_mesh_read_def *def, const sfem_allocator *a, size_t bytes, sfem_error *err)
+{
+    sfemi_extra x;
+    memset(&x, 0, sizeof x);
+    if (def) x.def = *def;
+    if (a) x.def.allocator = *a;
+    x.pool = sfemi_pool_of(&x.def.allocator);
+    x.members_most = bytes > INT32_MAX / 4 ? INT32_MAX : 4 * bytes;
+    x.err = err;
+    return x;
 }
 
 /* ---- surfaces: OBJ, STL, PLY, OFF ---- */
@@ -6375,7 +9187,7 @@ static sfem_status sfemi_soup_node(sfemi_soup *r, const sfem_real x[3])
     sfem_real *grown;
     if (r->out.nodes == INT32_MAX)
         return sfemi_scan_fail(&r->s, SFEM_TOO_LARGE, "more than 2^31 - 1 vertices");
-    grown = (sfem_real *)sfemi_rows_grow(&r->out.allocator, r->out.x, (size_t)r->out.nodes, &r->node_room,
+    grown = (sfem_real *)sfemi_grow(&r->out.allocator, r->out.x, (size_t)r->out.nodes, &r->node_room,
                                          3 * sizeof *x);
     if (!grown) return sfemi_fail(r->s.err, SFEM_OUT_OF_MEMORY, "out of memory: vertices");
     r->out.x = grown;
@@ -6406,7 +9218,7 @@ static sfem_status sfemi_soup_corner(sfemi_soup *r, int64_t k, sfem_int node)
     if (r->out.triangles == INT32_MAX / 3)
         return sfemi_scan_fail(&r->s, SFEM_TOO_LARGE, "more than (2^31 - 1)/3 triangles");
     r->polygon[2] = node;
-    grown = (sfem_int *)sfemi_rows_grow(&r->out.allocator, r->out.tri, (size_t)r->out.triangles, &r->tri_room,
+    grown = (sfem_int *)sfemi_grow(&r->out.allocator, r->out.tri, (size_t)r->out.triangles, &r->tri_room,
                                         sizeof r->polygon);
     if (!grown) return sfemi_fail(r->s.err, SFEM_OUT_OF_MEMORY, "out of memory: triangles");
     r->out.tri = grown;
@@ -6580,7 +9392,7 @@ enum { SFEMI_PLY_PROPERTIES = 64, SFEMI_PLY_ELEMENTS = 16 };
 typedef struct sfemi_ply {
     struct {
         char role; /* 'x' 'y' 'z' coordinates, 'f' the vertices of a face, 0 passed over */
-        unsigned char type, count; /* place in sfemi_ply_types; count: of a list's length, else 0 */
+        const sfemi_type *type, *count; /* count: of a list's length, else NULL */
     } property[SFEMI_PLY_PROPERTIES];
     struct {
         char kind; /* 'v' vertices, 'f' faces, 0 others */
@@ -6591,23 +9403,11 @@ typedef struct sfemi_ply {
     sfem_int nodes;
 } sfemi_ply;
 
-/* Place 0 is none; odd places are old names, even ones new names of the same type. */
-static const struct {
-    const char *name;
-    unsigned char bytes;
-    char kind; /* i signed, u unsigned, f real */
-} sfemi_ply_types[17] = {{"", 0, 0},          {"char", 1, 'i'},    {"int8", 1, 'i'},    {"uchar", 1, 'u'},
-                         {"uint8", 1, 'u'},   {"short", 2, 'i'},   {"int16", 2, 'i'},   {"ushort", 2, 'u'},
-                         {"uint16", 2, 'u'},  {"int", 4, 'i'},     {"int32", 4, 'i'},   {"uint", 4, 'u'},
-                         {"uint32", 4, 'u'},  {"float", 4, 'f'},   {"float32", 4, 'f'}, {"double", 8, 'f'},
-                         {"float64", 8, 'f'}};
-
-static sfem_status sfemi_ply_type(sfemi_scan *s, unsigned char *type)
+static sfem_status sfemi_ply_type(sfemi_scan *s, const sfemi_type **type)
 {
     const sfemi_word w = sfemi_scan_peek(s);
-    for (*type = 1; *type < 17; ++*type)
-        if (sfemi_word_is(w, sfemi_ply_types[*type].name)) break;
-    if (*type == 17) return sfemi_scan_expected(s, "a type of PLY", w);
+    *type = sfemi_type_find(w, SFEMI_TYPES_PLY);
+    if (!(*type)->bytes) return sfemi_scan_expected(s, "a type of PLY", w);
     s->p += w.n;
     return SFEM_OK;
 }
@@ -6621,13 +9421,13 @@ static sfem_status sfemi_ply_property(sfemi_scan *s, sfemi_ply *y)
     if (i == SFEMI_PLY_PROPERTIES)
         return sfemi_scan_fail(s, SFEM_FORMAT, "more than %d properties", (int)SFEMI_PLY_PROPERTIES);
     w = sfemi_scan_peek(s);
-    y->property[i].count = 0;
+    y->property[i].count = NULL;
     y->property[i].role = 0;
     if (sfemi_word_is(w, "list")) {
         s->p += w.n;
         status = sfemi_ply_type(s, &y->property[i].count);
         if (status != SFEM_OK) return status;
-        if (sfemi_ply_types[y->property[i].count].kind == 'f')
+        if (y->property[i].count->kind == 'f')
             return sfemi_scan_fail(s, SFEM_FORMAT, "the length of a list is no whole number");
     }
     status = sfemi_ply_type(s, &y->property[i].type);
@@ -6638,7 +9438,7 @@ static sfem_status sfemi_ply_property(sfemi_scan *s, sfemi_ply *y)
     if (y->element[e].kind == 'f' && y->property[i].count &&
         (sfemi_word_is(w, "vertex_indices") || sfemi_word_is(w, "vertex_index")))
         y->property[i].role = 'f';
-    if (y->property[i].role == 'f' && sfemi_ply_types[y->property[i].type].kind == 'f')
+    if (y->property[i].role == 'f' && y->property[i].type->kind == 'f')
         return sfemi_scan_fail(s, SFEM_FORMAT, "the vertices of a face are no whole numbers");
     y->element[e].end = ++y->properties;
     return SFEM_OK;
@@ -6690,48 +9490,6 @@ done:
     return status;
 }
 
-/* A whole number of the type, from text or binary. */
-static sfem_status sfemi_ply_integer(sfemi_scan *s, unsigned char type, int64_t high, const char *what, int64_t *out)
-{
-    const int bytes = sfemi_ply_types[type].bytes;
-    const char *before = s->p;
-    uint64_t bits = 0;
-    sfem_status status;
-    if (!s->order) return sfemi_scan_integer(s, 0, high, what, out);
-    status = sfemi_scan_bits(s, bytes, what, &bits);
-    if (status != SFEM_OK) return status;
-    *out = (int64_t)bits;
-    if (sfemi_ply_types[type].kind == 'i' && bits >> (8 * bytes - 1)) *out -= (int64_t)1 << 8 * bytes;
-    s->p = before;
-    status = sfemi_scan_range(s, *out, 0, high, what);
-    if (status == SFEM_OK) s->p += bytes;
-    return status;
-}
-
-/* A coordinate: a real, or a whole number in binary. */
-static sfem_status sfemi_ply_real(sfemi_scan *s, unsigned char type, sfem_real *x)
-{
-    int64_t v = 0;
-    uint64_t bits = 0;
-    const int bytes = sfemi_ply_types[type].bytes;
-    sfem_status status;
-    if (!s->order || sfemi_ply_types[type].kind == 'f') {
-        s->real = bytes;
-        return sfemi_scan_real(s, "a coordinate of a vertex", x);
-    }
-    status = sfemi_scan_bits(s, bytes, "a coordinate of a vertex", &bits);
-    v = (int64_t)bits;
-    if (sfemi_ply_types[type].kind == 'i' && bits >> (8 * bytes - 1)) v -= (int64_t)1 << 8 * bytes;
-    *x = (sfem_real)v;
-    return status;
-}
-
-static sfem_status sfemi_ply_pass(sfemi_scan *s, unsigned char type, int64_t count)
-{
-    if (!s->order) return sfemi_scan_skip_words(s, count, "a property");
-    return sfemi_scan_skip_bytes(s, (uint64_t)count * sfemi_ply_types[type].bytes, "a property");
-}
-
 static sfem_status sfemi_ply_row(sfemi_soup *r, const sfemi_ply *y, int e)
 {
     sfemi_scan *s = &r->s;
@@ -6740,17 +9498,17 @@ static sfem_status sfemi_ply_row(sfemi_soup *r, const sfemi_ply *y, int e)
     int i;
     for (i = y->element[e].first; i < y->element[e].end; ++i) {
         const char role = y->property[i].role;
-        const unsigned char type = y->property[i].type;
+        const sfemi_type *type = y->property[i].type;
         int64_t k, v, n = 1;
         if (y->property[i].count)
-            SFEMI_TRY(sfemi_ply_integer(s, y->property[i].count, INT32_MAX, "the length of a list", &n));
+            SFEMI_TRY(sfemi_typed_integer(s, y->property[i].count, 0, INT32_MAX, "the length of a list", &n));
         if (!role)
-            SFEMI_TRY(sfemi_ply_pass(s, type, n));
+            SFEMI_TRY(sfemi_typed_skip(s, type, n, "a property"));
         else if (role != 'f')
-            SFEMI_TRY(sfemi_ply_real(s, type, x + (role - 'x')));
+            SFEMI_TRY(sfemi_typed_real(s, type, "a coordinate of a vertex", x + (role - 'x')));
         else
             for (k = 0; k < n; ++k) {
-                SFEMI_TRY(sfemi_ply_integer(s, type, (int64_t)y->nodes - 1, "the vertex of a face", &v));
+                SFEMI_TRY(sfemi_typed_integer(s, type, 0, (int64_t)y->nodes - 1, "the vertex of a face", &v));
                 SFEMI_TRY(sfemi_soup_corner(r, k, (sfem_int)v));
             }
     }
@@ -6816,15 +9574,118 @@ static sfemi_soup_kind sfemi_soup_find(const void *data, size_t bytes, const cha
     return sfemi_word_is(tail, ".stl") ? SFEMI_STL_BINARY : SFEMI_NO_SOUP;
 }
 
+typedef enum sfemi_mesh_kind {
+    SFEMI_NO_MESH, SFEMI_GMSH, SFEMI_VTK, SFEMI_VTU, SFEMI_MEDIT, SFEMI_MEDIT_BINARY, SFEMI_VEGA, SFEMI_INP
+} sfemi_mesh_kind;
+
+/* Does a scan behind comments begin with a keyword of Abaqus? Those of Vega are others, but for *MATERIAL, behind which
+ * Abaqus has a comma. */
+static int sfemi_scan_begins_inp(const sfemi_scan *s)
+{
+    static const char *const word[] = {"*HEADING", "*NODE", "*PART", "*PREPRINT", "**", "*PARAMETER", "*ASSEMBLY", "*ELSET",
+                                       "*NSET", "*AMPLITUDE", "*MATERIAL,", "*INCLUDE,", "*ELEMENT,", "*SOLID SECTION",
+                                       "*BOUNDARY", "*SYSTEM", "*RESTART"};
+    size_t k;
+    for (k = 0; k < sizeof word / sizeof *word; ++k)
+        if (sfemi_scan_begins(s, word[k])) return 1;
+    return 0;
+}
+
+/* Which kind of mesh file the data is, from where it does not begin with blanks. */
+static sfemi_mesh_kind sfemi_mesh_find(const sfemi_scan *s)
+{
+    static const char medit[2][4] = {{1, 0, 0, 0}, {0, 0, 0, 1}};
+    sfemi_scan behind = *s; /* the comments at the start */
+    behind.comment = '#';
+    sfemi_scan_space(&behind);
+    if (sfemi_scan_begins(s, "$")) return SFEMI_GMSH;
+    if (sfemi_scan_begins(s, "# vtk DataFile Version")) return SFEMI_VTK;
+    if (sfemi_scan_begins(s, "<?xml") || sfemi_scan_begins(s, "<VTKFile") || sfemi_scan_begins(s, "<!--")) return SFEMI_VTU;
+    if (s->end - s->p >= 8 && (!memcmp(s->p, medit[0], 4) || !memcmp(s->p, medit[1], 4))) return SFEMI_MEDIT_BINARY;
+    if (sfemi_scan_begins_inp(s)) return SFEMI_INP;
+    if (sfemi_scan_begins(&behind, "*")) return SFEMI_VEGA;
+    return sfemi_scan_begins(&behind, "MeshVersionFormatted") ? SFEMI_MEDIT : SFEMI_NO_MESH;
+}
+
+/* What is read of a file of that kind, into x and m. */
+static sfem_status sfemi_mesh_parse_kind(sfemi_mesh_kind kind, const sfemi_scan *s, const char *path, sfemi_extra *x,
+                                         sfem_mesh *m)
+{
+    switch (kind) {
+    case SFEMI_GMSH: return sfemi_mesh_parse_gmsh(s, x, m);
+    case SFEMI_VTK: return sfemi_mesh_parse_vtk(s, 0, x, m);
+    case SFEMI_VTU: return sfemi_mesh_parse_vtk(s, 1, x, m);
+    case SFEMI_MEDIT: return sfemi_mesh_parse_medit(s, 0, x, m);
+    case SFEMI_MEDIT_BINARY: return sfemi_mesh_parse_medit(s, 1, x, m);
+    case SFEMI_INP: return sfemi_mesh_parse_rows(s, NULL, 1, path, x, m);
+    default: return sfemi_mesh_parse_rows(s, NULL, 0, path, x, m);
+    }
+}
+
+/* Of the file at path, which is NULL if there is none. Frees x. */
+static sfem_status sfemi_mesh_parse_any(const void *data, size_t bytes, const char *path, sfemi_extra *x, sfem_mesh *out,
+                                        sfem_mesh_sets *sets, sfem_mesh_read_info *info)
+{
+    sfem_status status;
+    char begin[25];
+    sfem_mesh m;
+    sfemi_scan s = sfemi_scan_of(data, bytes, x->err);
+    sfemi_mesh_kind kind;
+    memset(&m, 0, sizeof m);
+    sfemi_scan_space(&s);
+    kind = sfemi_mesh_find(&s);
+    if (kind)
+        status = sfemi_mesh_parse_kind(kind, &s, path, x, &m);
+    else if (s.p == s.end)
+        status = sfemi_scan_fail(&s, SFEM_FORMAT, "there is no data");
+    else if (sfemi_soup_find(data, bytes, path))
+        status = sfemi_scan_fail(&s, SFEM_FORMAT,
+                                 "this is a surface, without tets: read it by sfem_surface_read, and make tets of it by "
+                                 "sfem_mesh_from_surface");
+    else
+        status = sfemi_scan_fail(&s, SFEM_FORMAT,
+                                 "only Gmsh 2.2 and 4.1, VTK legacy and .vtu, Medit, Abaqus .inp and Vega .veg "
+                                 "are read, this begins with '%s'",
+                                 sfemi_word_text(sfemi_scan_peek(&s), begin));
+    return sfemi_mesh_parsed(status, x, &m, out, sets, info);
+}
+
+/* The triangles of a mesh file. */
+static sfem_status sfemi_surface_parse_mesh(sfemi_mesh_kind kind, const sfemi_scan *s, size_t bytes, const char *path,
+                                            const sfem_allocator *a, sfem_surface *out)
+{
+    sfemi_extra x = sfemi_extra_of(NULL, a, bytes, s->err);
+    sfem_status status;
+    sfem_mesh m;
+    x.faces = 1;
+    memset(&m, 0, sizeof m);
+    status = sfemi_mesh_parse_kind(kind, s, path, &x, &m);
+    if (status == SFEM_OK) {
+        out->nodes = m.nodes;
+        out->triangles = (sfem_int)x.triangles;
+        out->x = m.x;
+        out->tri = (sfem_int *)(void *)x.triangle;
+        m.x = NULL;
+        x.triangle = NULL;
+    }
+    sfemi_extra_free(&x);
+    sfem_mesh_free(&m);
+    return status;
+}
+
 static sfem_status sfemi_surface_parse(const void *data, size_t bytes, const char *path, const sfem_allocator *a,
                                        sfem_surface *out, sfem_error *err)
 {
     sfem_status status;
     sfemi_soup r;
+    sfemi_scan s = sfemi_scan_of(data, bytes, err);
+    sfemi_mesh_kind kind;
     char begin[25];
     memset(&r, 0, sizeof r);
-    r.s = sfemi_scan_of(data, bytes, err);
+    r.s = s;
     r.out.allocator = *a;
+    sfemi_scan_space(&s);
+    kind = sfemi_mesh_find(&s);
     switch (sfemi_soup_find(data, bytes, path)) {
     case SFEMI_OBJ: status = sfemi_obj_read(&r); break;
     case SFEMI_STL: status = sfemi_stl_read(&r); break;
@@ -6832,8 +9693,12 @@ static sfem_status sfemi_surface_parse(const void *data, size_t bytes, const cha
     case SFEMI_PLY: status = sfemi_ply_read(&r); break;
     case SFEMI_OFF: status = sfemi_off_read(&r); break;
     default:
+        if (kind) {
+            status = sfemi_surface_parse_mesh(kind, &s, bytes, path, a, &r.out);
+            break;
+        }
         status = bytes ? sfemi_scan_fail(&r.s, SFEM_FORMAT,
-                                         "only the surfaces .obj, .stl, .ply and .off are read, this begins with '%s'",
+                                         "only the surfaces .obj, .stl, .ply and .off and mesh files are read, this begins with '%s'",
                                          sfemi_word_text(sfemi_scan_peek(&r.s), begin))
                        : sfemi_scan_fail(&r.s, SFEM_FORMAT, "there is no data");
     }
@@ -6876,78 +9741,57 @@ SFEM_DEF sfem_status sfem_surface_read(const char *path, const sfem_allocator *a
 }
 #endif
 
-/* Of the file at path, which is NULL if there is none. */
-static sfem_status sfemi_mesh_parse(const void *data, size_t bytes, const char *path,
-                                    const sfem_allocator *a, sfem_mesh *out, sfem_error *err)
+SFEM_DEF sfem_status sfem_mesh_parse_sets(const void *data, size_t bytes, const sfem_mesh_read_def *def, sfem_mesh *out,
+                                          sfem_mesh_sets *sets, sfem_mesh_read_info *info, sfem_error *err)
 {
-    sfem_status status;
-    char begin[25];
-    sfem_mesh m;
-    sfemi_scan s = sfemi_scan_of(data, bytes, err), behind; /* the comments at the start */
-    memset(&m, 0, sizeof m);
-    sfemi_scan_space(&s);
-    behind = s;
-    behind.comment = '#';
-    sfemi_scan_space(&behind);
-    if (sfemi_scan_begins(&s, "$"))
-        status = sfemi_mesh_parse_gmsh(&s, a, &m);
-    else if (sfemi_scan_begins(&s, "# vtk DataFile Version"))
-        status = sfemi_mesh_parse_vtk(&s, a, &m);
-    else if (sfemi_scan_begins(&behind, "*"))
-        status = sfemi_mesh_parse_rows(&s, NULL, path, a, &m);
-    else if (sfemi_scan_begins(&behind, "MeshVersionFormatted"))
-        status = sfemi_mesh_parse_medit(&s, a, &m);
-    else if (s.p == s.end)
-        status = sfemi_scan_fail(&s, SFEM_FORMAT, "there is no data");
-    else if (sfemi_soup_find(data, bytes, path))
-        status =
-            sfemi_scan_fail(&s, SFEM_FORMAT,
-                            "this is a surface, without tets: read it by sfem_surface_read, and make tets of it by "
-                            "sfem_mesh_from_surface");
-    else
-        status = sfemi_scan_fail(&s, SFEM_FORMAT,
-                                 "only Gmsh 2.2 and 4.1, VTK legacy ASCII, Medit ASCII and Vega .veg "
-                                 "are read, this begins with '%s'",
-                                 sfemi_word_text(sfemi_scan_peek(&s), begin));
-    return sfemi_mesh_parsed(status, &m, out, err);
+    sfemi_extra x = sfemi_extra_of(def, NULL, bytes, err);
+    SFEM_ASSERT(out && (data || !bytes));
+    x.sets = sets != NULL;
+    return sfemi_mesh_parse_any(data, bytes, NULL, &x, out, sets, info);
 }
 
 SFEM_DEF sfem_status sfem_mesh_parse(const void *data, size_t bytes,
                                      const sfem_allocator *allocator, sfem_mesh *out,
                                      sfem_error *err)
 {
-    sfem_allocator a;
+    sfemi_extra x = sfemi_extra_of(NULL, allocator, bytes, err);
     SFEM_ASSERT(out && (data || !bytes));
-    memset(&a, 0, sizeof a);
-    if (allocator) a = *allocator;
-    return sfemi_mesh_parse(data, bytes, NULL, &a, out, err);
+    return sfemi_mesh_parse_any(data, bytes, NULL, &x, out, NULL, NULL);
+}
+
+static sfem_status sfemi_mesh_parse_tetgen(const sfemi_word text[2], sfemi_extra *x, sfem_mesh *out, sfem_mesh_sets *sets,
+                                           sfem_mesh_read_info *info)
+{
+    const sfemi_scan s = sfemi_scan_of(text[0].p, text[0].n, x->err), t = sfemi_scan_of(text[1].p, text[1].n, x->err);
+    sfem_mesh m;
+    sfem_status status;
+    memset(&m, 0, sizeof m);
+    status = sfemi_mesh_parse_rows(&s, &t, 0, NULL, x, &m);
+    return sfemi_mesh_parsed(status, x, &m, out, sets, info);
 }
 
 SFEM_DEF sfem_status sfem_mesh_parse_tetgen(const void *node, size_t node_bytes, const void *ele,
                                             size_t ele_bytes, const sfem_allocator *allocator,
                                             sfem_mesh *out, sfem_error *err)
 {
-    sfem_allocator a;
-    sfem_status status;
-    sfem_mesh m;
-    sfemi_scan s, t;
+    sfemi_extra x = sfemi_extra_of(NULL, allocator, node_bytes, err);
+    sfemi_word text[2];
     SFEM_ASSERT(out && (node || !node_bytes) && (ele || !ele_bytes));
-    memset(&a, 0, sizeof a);
-    memset(&m, 0, sizeof m);
-    if (allocator) a = *allocator;
-    s = sfemi_scan_of(node, node_bytes, err);
-    t = sfemi_scan_of(ele, ele_bytes, err);
-    status = sfemi_mesh_parse_rows(&s, &t, NULL, &a, &m);
-    return sfemi_mesh_parsed(status, &m, out, err);
+    text[0].p = (const char *)node, text[0].n = node_bytes;
+    text[1].p = (const char *)ele, text[1].n = ele_bytes;
+    return sfemi_mesh_parse_tetgen(text, &x, out, NULL, NULL);
 }
 
 #ifndef SFEM_NO_STDIO
 
 /* The two files of TetGen, of which one was named: stem is its name's length up to the point. */
-static sfem_status sfemi_mesh_read_tetgen(const char *path, size_t stem, const sfem_allocator *a,
-                                          sfem_mesh *out, sfem_error *err)
+static sfem_status sfemi_mesh_read_tetgen(const char *path, size_t stem, sfemi_extra *x, sfem_mesh *out,
+                                          sfem_mesh_sets *sets, sfem_mesh_read_info *info)
 {
+    const sfem_allocator allocator = x->def.allocator, *a = &allocator;
     sfem_status status = SFEM_OK;
+    sfem_error *err = x->err;
+    sfemi_word text[2];
     char *data[2] = {NULL, NULL}, *name = NULL;
     size_t bytes[2] = {0, 0};
     int i, capital = path[stem + 1] >= 'A' && path[stem + 1] <= 'Z';
@@ -6956,8 +9800,11 @@ static sfem_status sfemi_mesh_read_tetgen(const char *path, size_t stem, const s
     for (i = 0; i < 2; ++i) {
         strcpy(name + stem, i ? (capital ? ".ELE" : ".ele") : capital ? ".NODE" : ".node");
         SFEMI_TRY(sfemi_file_read(name, a, &data[i], &bytes[i], err));
+        text[i].p = data[i];
+        text[i].n = bytes[i];
     }
-    status = sfem_mesh_parse_tetgen(data[0], bytes[0], data[1], bytes[1], a, out, err);
+    x->members_most = 4 * (bytes[0] < INT32_MAX / 4 ? bytes[0] : INT32_MAX / 4);
+    status = sfemi_mesh_parse_tetgen(text, x, out, sets, info);
     if (status != SFEM_OK) sfemi_file_blame(path, err);
 done:
     for (i = 0; i < 2; ++i) sfemi_delete(a, data[i]);
@@ -6965,32 +9812,48 @@ done:
     return status;
 }
 
-SFEM_DEF sfem_status sfem_mesh_read(const char *path, const sfem_allocator *allocator,
-                                    sfem_mesh *out, sfem_error *err)
+static sfem_status sfemi_mesh_read(const char *path, sfemi_extra *x, sfem_mesh *out, sfem_mesh_sets *sets,
+                                   sfem_mesh_read_info *info)
 {
-    sfem_allocator a;
+    const sfem_allocator a = x->def.allocator;
+    sfem_error *err = x->err;
     sfem_status status;
     sfemi_word tail;
     char *data = NULL;
-    size_t bytes = 0, length;
-    SFEM_ASSERT(path && out);
-    memset(&a, 0, sizeof a);
-    if (allocator) a = *allocator;
-    length = strlen(path);
+    size_t bytes = 0;
+    const size_t length = strlen(path);
     for (tail.n = 0; tail.n < length && tail.n < 5; ++tail.n) {
         tail.p = path + length - tail.n - 1;
         if (*tail.p != '.') continue;
         ++tail.n;
         if (sfemi_word_is(tail, ".node") || sfemi_word_is(tail, ".ele"))
-            return sfemi_mesh_read_tetgen(path, length - tail.n, &a, out, err);
+            return sfemi_mesh_read_tetgen(path, length - tail.n, x, out, sets, info);
         break;
     }
     status = sfemi_file_read(path, &a, &data, &bytes, err);
     if (status != SFEM_OK) return status;
-    status = sfemi_mesh_parse(data, bytes, path, &a, out, err);
+    x->members_most = 4 * (bytes < INT32_MAX / 4 ? bytes : INT32_MAX / 4);
+    status = sfemi_mesh_parse_any(data, bytes, path, x, out, sets, info);
     sfemi_delete(&a, data);
     if (status != SFEM_OK) sfemi_file_blame(path, err);
     return status;
+}
+
+SFEM_DEF sfem_status sfem_mesh_read_sets(const char *path, const sfem_mesh_read_def *def, sfem_mesh *out,
+                                         sfem_mesh_sets *sets, sfem_mesh_read_info *info, sfem_error *err)
+{
+    sfemi_extra x = sfemi_extra_of(def, NULL, 0, err);
+    SFEM_ASSERT(path && out);
+    x.sets = sets != NULL;
+    return sfemi_mesh_read(path, &x, out, sets, info);
+}
+
+SFEM_DEF sfem_status sfem_mesh_read(const char *path, const sfem_allocator *allocator,
+                                    sfem_mesh *out, sfem_error *err)
+{
+    sfemi_extra x = sfemi_extra_of(NULL, allocator, 0, err);
+    SFEM_ASSERT(path && out);
+    return sfemi_mesh_read(path, &x, out, NULL, NULL);
 }
 
 #endif
@@ -7346,8 +10209,11 @@ static sfem_status sfemi_repair_check(const sfem_surface *s, sfem_error *err)
     for (k = 0; k < 3 * (size_t)s->triangles; ++k) {
         i = s->tri[k];
         if (i < 0 || i >= s->nodes)
-            return sfemi_fail(err, SFEM_BAD_MESH, "triangle %ld names vertex %ld, not in 0 .. %ld", (long)(k / 3),
-                              (long)i, (long)s->nodes - 1);
+            return sfemi_fail(err, SFEM_BAD_MESH, "triangle %ld names vertex %ld, not in 0 .. %ld%s", (long)(k / 3),
+                              (long)i, (long)s->nodes - 1,
+                              sfemi_mesh_counts_from_one(s->tri, 3 * (size_t)s->triangles, s->nodes)
+                                  ? ": numbered from 1?"
+                                  : "");
         for (c = 0; c < 3; ++c)
             if (!sfemi_finite(s->x[3 * (size_t)i + (size_t)c]))
                 return sfemi_fail_at(err, SFEM_NOT_FINITE, i, -1, "vertex %ld of the surface is not finite", (long)i);
@@ -7806,7 +10672,25 @@ typedef struct sfemi_lattice {
     sfem_int *at;        /* [nodes] the code of each node */
     sfem_mesh mesh;
     int not_finite;
+    const sfem_mesher_def *def; /* whose progress is told, */
+    sfem_real part[2];          /* from, to, of this lattice */
+    sfem_int task;              /* the first one of those that run */
 } sfemi_lattice;
+
+/* Runs so many tasks, and tells the progress from part a to part b of the lattice's. */
+static void sfemi_lattice_run(sfemi_lattice *l, sfem_int tasks, sfem_task task, sfem_real a, sfem_real b)
+{
+    const int told = l->def && l->def->progress;
+    const sfem_int most = told ? tasks / 20 + 1 : tasks;
+    sfem_int n;
+    for (l->task = 0; l->task < tasks; l->task += n) {
+        n = tasks - l->task < most ? tasks - l->task : most;
+        sfemi_run(l->exec, n, task, l);
+        if (told)
+            l->def->progress(l->part[0] + (l->part[1] - l->part[0]) * (a + (b - a) * (l->task + n) / tasks),
+                             l->def->progress_user);
+    }
+}
 
 static void sfemi_lattice_free(sfemi_lattice *l)
 {
@@ -7838,7 +10722,7 @@ static void sfemi_lattice_place(const sfemi_lattice *l, sfem_int p, sfem_real x[
 }
 
 /* The lattice for edges of length h: the box, and a cell and a half more on each side. */
-static sfem_status sfemi_lattice_lay(sfemi_lattice *l, sfem_real h)
+static sfem_status sfemi_lattice_lay(sfemi_lattice *l, sfem_real h, sfem_real phase)
 {
     sfem_status status = SFEM_OK;
     sfem_error *err = l->err;
@@ -7860,7 +10744,7 @@ static sfem_status sfemi_lattice_lay(sfemi_lattice *l, sfem_real h)
     l->points = (sfem_int)(points + 0.5);
     for (c = 0; c < 3; ++c) {
         l->n[c] = (sfem_int)(n[c] + 0.5);
-        l->origin[c] = 0.5 * (s->box[0][c] + s->box[1][c]) - 0.5 * h * (n[c] - 1);
+        l->origin[c] = 0.5 * (s->box[0][c] + s->box[1][c]) - h * (0.5 * (n[c] - 1) - phase);
     }
     l->step[2] = 2;
     l->step[1] = 2 * l->n[2];
@@ -7878,7 +10762,7 @@ enum { SFEMI_LATTICE_TASK = 512 }; /* points or cuts of a task */
 static void sfemi_lattice_sign_task(void *data, sfem_int task)
 {
     sfemi_lattice *l = (sfemi_lattice *)data;
-    const sfem_int first = task * SFEMI_LATTICE_TASK;
+    const sfem_int first = (l->task + task) * SFEMI_LATTICE_TASK;
     const sfem_int end = l->points - first < SFEMI_LATTICE_TASK ? l->points : first + SFEMI_LATTICE_TASK;
     sfem_real x[3], v;
     sfem_int p;
@@ -7904,7 +10788,7 @@ static int sfemi_lattice_edges(const sfemi_lattice *l, sfem_int p, sfem_int to[1
 static void sfemi_lattice_cut_task(void *data, sfem_int task)
 {
     sfemi_lattice *l = (sfemi_lattice *)data;
-    const sfem_int first = task * SFEMI_LATTICE_TASK;
+    const sfem_int first = (l->task + task) * SFEMI_LATTICE_TASK;
     const sfem_int end = l->cuts - first < SFEMI_LATTICE_TASK ? l->cuts : first + SFEMI_LATTICE_TASK;
     sfem_real a[3], b[3];
     sfem_int i;
@@ -7937,7 +10821,7 @@ static sfem_status sfemi_lattice_cuts(sfemi_lattice *l)
         }
         l->first[p] = l->cuts;
     }
-    sfemi_run(l->exec, (l->cuts + SFEMI_LATTICE_TASK - 1) / SFEMI_LATTICE_TASK, sfemi_lattice_cut_task, l);
+    sfemi_lattice_run(l, (l->cuts + SFEMI_LATTICE_TASK - 1) / SFEMI_LATTICE_TASK, sfemi_lattice_cut_task, 0.4, 0.7);
 done:
     return status;
 }
@@ -8743,9 +11627,9 @@ static void sfemi_cage_share_task(void *data, sfem_int task)
     }
 }
 
-/* One lattice and its mesh, for edges of length h. */
-static sfem_status sfemi_mesher_pass(const sfemi_solid *s, const sfem_mesher_def *def, sfem_real h, sfem_mesh *out,
-                                     sfem_mesher_info *info, sfem_error *err)
+/* One lattice and its mesh, for edges of length h; it is moved by a part of that, the phase, along all axes. */
+static sfem_status sfemi_mesher_pass(const sfemi_solid *s, const sfem_mesher_def *def, sfem_real h, sfem_real phase,
+                                     sfem_mesh *out, sfem_mesher_info *info, sfem_error *err)
 {
     sfem_status status;
     sfemi_lattice l;
@@ -8759,9 +11643,12 @@ static sfem_status sfemi_mesher_pass(const sfemi_solid *s, const sfem_mesher_def
     info->repaired = info->split = 0;
     info->size = h;
     ++info->passes;
-    SFEMI_TRY(sfemi_lattice_lay(&l, h));
+    l.def = def; /* it takes 3 to 5 lattices until the number of tets is right */
+    l.part[0] = def->size > 0 ? 0 : 1 - pow(0.6, (sfem_real)(info->passes - 1));
+    l.part[1] = def->size > 0 ? 0.95 : 1 - pow(0.6, (sfem_real)info->passes);
+    SFEMI_TRY(sfemi_lattice_lay(&l, h, phase));
     info->lattice = l.points;
-    sfemi_run(l.exec, (l.points + SFEMI_LATTICE_TASK - 1) / SFEMI_LATTICE_TASK, sfemi_lattice_sign_task, &l);
+    sfemi_lattice_run(&l, (l.points + SFEMI_LATTICE_TASK - 1) / SFEMI_LATTICE_TASK, sfemi_lattice_sign_task, 0, 0.4);
     if (l.not_finite) {
         status = sfemi_fail(err, SFEM_NOT_FINITE, "a value of the function is not finite");
         goto done;
@@ -8801,11 +11688,12 @@ static sfem_real sfemi_mesher_guess(const sfemi_solid *s, const sfem_mesher_def 
 }
 
 /* Lattices until the number of tets is right, each from what the ones before had; the best is kept. Where the number
- * jumps, as layers of a plate do, lengths on both sides of the jump are tried, for it goes up and down there. */
+ * jumps, as layers of a plate do, lengths on both sides of the jump are tried, for it goes up and down there; then
+ * lattices that are moved, whose layers are others. */
 static sfem_status sfemi_mesher_search(const sfemi_solid *s, const sfem_mesher_def *def, sfem_mesh *out,
                                        sfem_mesher_info *info, sfem_error *err)
 {
-    enum { PASSES = 40 };
+    enum { PASSES = 40, MOVES = 24 };
     sfem_real h = log(sfemi_mesher_guess(s, def)), best = HUGE_VAL, off, jump = 0;
     sfem_real low = -1e3, high = 1e3; /* log h with too many, and too few */
     sfem_mesher_info one = *info;
@@ -8813,8 +11701,10 @@ static sfem_status sfemi_mesher_search(const sfemi_solid *s, const sfem_mesher_d
     sfem_mesh mesh;
     int k, after = -1;
     memset(&mesh, 0, sizeof mesh);
-    for (k = 0; k < PASSES && best > (after < 0 ? 0.05 : 0.13); ++k) {
-        status = sfemi_mesher_pass(s, def, exp(h), &mesh, &one, err);
+    for (k = 0; k < PASSES + MOVES && best > (after < 0 ? 0.05 : 0.13); ++k) {
+        const sfem_real phase = k < PASSES ? 0 : k % 2 ? 0.25 : 0.5;
+        if (k == PASSES && best > 0.4) break; /* a plate of one layer, which shorter edges alone can hold */
+        status = sfemi_mesher_pass(s, def, exp(h), phase, &mesh, &one, err);
         info->passes = one.passes;
         if (status != SFEM_OK) break;
         off = mesh.tets ? log((sfem_real)mesh.tets / (sfem_real)def->tets) : -3;
@@ -8833,8 +11723,10 @@ static sfem_status sfemi_mesher_search(const sfemi_solid *s, const sfem_mesher_d
         if (!(h > low && h < high)) h = 0.5 * (low + high);
         if (after < 0 && (high - low < 1e-3 || k == 10)) after = 0, jump = 0.5 * (low + high);
         if (after >= 0) ++after, h = jump + (after % 2 ? 0.012 : -0.012) * (sfem_real)((after + 1) / 2);
+        if (k + 1 >= PASSES) h = jump + 0.03 * (sfem_real)((k + 1 - PASSES) / 4) * ((k - PASSES) / 2 % 2 ? 1 : -1);
     }
     sfem_mesh_free(&mesh);
+    if (!out->tets) info->size = one.size; /* for the message */
     return out->tets && status == SFEM_TOO_LARGE ? SFEM_OK : status;
 }
 
@@ -8846,9 +11738,10 @@ static sfem_status sfemi_mesher_make(const sfemi_solid *s, const sfem_mesher_def
     memset(&mesh, 0, sizeof mesh);
     SFEMI_TRY(sfemi_mesher_box(s, err));
     if (def->size > 0)
-        SFEMI_TRY(sfemi_mesher_pass(s, def, def->size, &mesh, info, err));
+        SFEMI_TRY(sfemi_mesher_pass(s, def, def->size, 0, &mesh, info, err));
     else
         SFEMI_TRY(sfemi_mesher_search(s, def, &mesh, info, err));
+    if (def->progress) def->progress(1, def->progress_user);
     if (mesh.region) {
         sfemi_cage_shares w;
         w.solid = s;
@@ -8958,6 +11851,7 @@ done:
     return status;
 }
 
+#ifndef SFEM_NO_MODEL
 SFEM_DEF sfem_status sfem_cage_materials(const struct sfem_material *base, sfem_real least, struct sfem_material *out,
                                          sfem_error *err)
 {
@@ -8973,8 +11867,10 @@ SFEM_DEF sfem_status sfem_cage_materials(const struct sfem_material *base, sfem_
     }
     return SFEM_OK;
 }
+#endif
 #endif /* SFEM_NO_MESHER */
 
+#ifndef SFEM_NO_MODEL
 /* ============================================================================================
  * >>matrix   symmetric matrices of 3x3 blocks: pattern, product, conversions
  *
@@ -10227,29 +13123,6 @@ done:
  * does everything.
  * ============================================================================================ */
 
-#if defined(__GNUC__)
-#define SFEMI_ATOMICS 1
-typedef int32_t sfemi_counter;
-#define SFEMI_ATOMIC_ADD(p, v) __atomic_fetch_add((p), (v), __ATOMIC_ACQ_REL) /* the value before  \
-                                                                               */
-#define SFEMI_ATOMIC_GET(p)    __atomic_load_n((p), __ATOMIC_ACQUIRE)
-#define SFEMI_ATOMIC_SET(p, v) __atomic_store_n((p), (v), __ATOMIC_RELEASE)
-#elif defined(_MSC_VER)
-#define SFEMI_ATOMICS          1
-typedef long sfemi_counter;
-long _InterlockedExchangeAdd(long volatile *, long);
-long _InterlockedExchange(long volatile *, long);
-#define SFEMI_ATOMIC_ADD(p, v) _InterlockedExchangeAdd((p), (v))
-#define SFEMI_ATOMIC_GET(p)    _InterlockedExchangeAdd((p), 0)
-#define SFEMI_ATOMIC_SET(p, v) ((void)_InterlockedExchange((p), (v)))
-#else /* no atomics: solvers run on one thread, and factors are made and freed from one */
-#define SFEMI_ATOMICS          0
-typedef long sfemi_counter;
-#define SFEMI_ATOMIC_ADD(p, v) ((*(p) += (v)) - (v))
-#define SFEMI_ATOMIC_GET(p)    (*(p))
-#define SFEMI_ATOMIC_SET(p, v) ((void)(*(p) = (v)))
-#endif
-
 /* Seconds since some moment, or 0 where the language has no such clock. */
 static double sfemi_seconds(void)
 {
@@ -10340,7 +13213,7 @@ static void sfemi_throttle_took(sfemi_throttle *p, sfem_int threads, double seco
  *
  * A front is the dense matrix in which one supernode is eliminated: its k columns of L and the update matrix of the
  * f - k rows below, lower half, cut into tiles of t rows. L and the update matrix are separate arrays. The tile in
- * which row k lies (boundary) may belong to both. >>kernels is included here.
+ * which row k lies (boundary) may belong to both.
  * ============================================================================================ */
 
 /* The measures of a front of k eliminated and f rows, in tiles of t rows, vectors of w. */
@@ -10399,27 +13272,6 @@ static size_t sfemi_shape_update_size(const sfemi_shape *s)
            s->last * ((s->tiles - 1) * s->t + s->last - s->boundary * s->t);
 }
 
-#define SFEMI_BITS 64
-#define SFEMI_PATH 0
-#include SFEM_SELF
-#define SFEMI_BITS 32
-#define SFEMI_PATH 0
-#include SFEM_SELF
-#if SFEMI_X86
-#define SFEMI_BITS 64
-#define SFEMI_PATH 1
-#include SFEM_SELF
-#define SFEMI_BITS 32
-#define SFEMI_PATH 1
-#include SFEM_SELF
-#define SFEMI_BITS 64
-#define SFEMI_PATH 2
-#include SFEM_SELF
-#define SFEMI_BITS 32
-#define SFEMI_PATH 2
-#include SFEM_SELF
-#endif
-
 typedef struct sfemi_ldl_kernels {
     const char *name;
     size_t width; /* of a vector of doubles; tiles are three vectors high */
@@ -10451,31 +13303,26 @@ typedef struct sfemi_ldl_kernels {
                          const float *, float *);
 } sfemi_ldl_kernels;
 
-static const sfemi_ldl_kernels *sfemi_ldl_kernels_of(int path)
-{
 #ifndef SFEM_NO_MODES
 #define SFEMI_FOUR(p) sfemi_ldl_forward4_64_##p, sfemi_ldl_backward4_64_##p,
 #else
 #define SFEMI_FOUR(p)
 #endif
-#define SFEMI_TABLE(name, width, p)                                                                \
-    {name, width, sfemi_ldl_update_64_##p, sfemi_ldl_eliminate_64_##p, sfemi_ldl_pivots_64_##p,    \
-     sfemi_ldl_add_64_##p, sfemi_dense_minus_64_##p, sfemi_dense_dots_64_##p,                      \
-     sfemi_ldl_invert_64_##p, sfemi_ldl_forward_64_##p, sfemi_ldl_backward_64_##p,                 \
-     sfemi_ldl_forward8_64_##p, sfemi_ldl_backward8_64_##p, SFEMI_FOUR(p) sfemi_ldl_invert_32_##p, \
-     sfemi_ldl_forward_32_##p, sfemi_ldl_backward_32_##p, sfemi_ldl_forward8_32_##p,               \
-     sfemi_ldl_backward8_32_##p}
-    static const sfemi_ldl_kernels table[] = {
-        SFEMI_TABLE("portable", 4, 0),
-#if SFEMI_X86
-        SFEMI_TABLE("avx2", 4, 1),
-        SFEMI_TABLE("avx512", 8, 2),
-#endif
-    };
-#undef SFEMI_TABLE
+#define SFEMI_NAME_0 "portable", 4
+#define SFEMI_NAME_1 "avx2", 4
+#define SFEMI_NAME_2 "avx512", 8
+#define SFEMI_K(p)                                                                                       \
+    {SFEMI_NAME_##p, sfemi_ldl_update_64_##p, sfemi_ldl_eliminate_64_##p, sfemi_ldl_pivots_64_##p,       \
+     sfemi_ldl_add_64_##p, sfemi_dense_minus_64_##p, sfemi_dense_dots_64_##p, sfemi_ldl_invert_64_##p,   \
+     sfemi_ldl_forward_64_##p, sfemi_ldl_backward_64_##p, sfemi_ldl_forward8_64_##p,                     \
+     sfemi_ldl_backward8_64_##p, SFEMI_FOUR(p) sfemi_ldl_invert_32_##p, sfemi_ldl_forward_32_##p,        \
+     sfemi_ldl_backward_32_##p, sfemi_ldl_forward8_32_##p, sfemi_ldl_backward8_32_##p}
+static const sfemi_ldl_kernels sfemi_ldl_path[] = SFEMI_PATHS(SFEMI_K);
+#undef SFEMI_K
+#undef SFEMI_NAME_0
+#undef SFEMI_NAME_1
+#undef SFEMI_NAME_2
 #undef SFEMI_FOUR
-    return table + path;
-}
 
 typedef struct sfemi_eigen_kernels {
     double (*column)(size_t, double *, const double *, const double *, const double *, double *);
@@ -10483,19 +13330,9 @@ typedef struct sfemi_eigen_kernels {
     void (*sweep)(size_t, size_t, double *, size_t, const double *, const double *);
 } sfemi_eigen_kernels;
 
-static const sfemi_eigen_kernels *sfemi_eigen_kernels_of(int path)
-{
-#define SFEMI_TABLE(p) {sfemi_eigen_column_64_##p, sfemi_eigen_reflect_64_##p, sfemi_eigen_sweep_64_##p}
-    static const sfemi_eigen_kernels table[] = {
-        SFEMI_TABLE(0),
-#if SFEMI_X86
-        SFEMI_TABLE(1),
-        SFEMI_TABLE(2),
-#endif
-    };
-#undef SFEMI_TABLE
-    return table + path;
-}
+#define SFEMI_K(p) {sfemi_eigen_column_64_##p, sfemi_eigen_reflect_64_##p, sfemi_eigen_sweep_64_##p}
+static const sfemi_eigen_kernels sfemi_eigen_path[] = SFEMI_PATHS(SFEMI_K);
+#undef SFEMI_K
 
 /* ============================================================================================
  * >>symbolic   what a factorisation needs to know of the pattern: supernodes, tasks, places
@@ -10512,7 +13349,7 @@ static const sfemi_eigen_kernels *sfemi_eigen_kernels_of(int path)
  * depend on each other. */
 typedef struct sfemi_symbolic {
     sfemi_counter references;
-    sfem_allocator allocator;
+    sfemi_pool pool; /* all of it */
     const sfemi_ldl_kernels *kernels;
     sfem_int n, blocks, supernodes, tasks, levels;
     size_t per; /* unknowns to a node: 3, or 1 */
@@ -10556,35 +13393,7 @@ static sfemi_shape sfemi_symbolic_shape(const sfemi_symbolic *y, sfem_int s, siz
 
 static void sfemi_symbolic_free(sfemi_symbolic *y)
 {
-    sfem_allocator m;
-    if (!y || SFEMI_ATOMIC_ADD(&y->references, -1) > 1) return;
-    m = y->allocator;
-    sfemi_delete(&m, y->order);
-    sfemi_delete(&m, y->inverse);
-    sfemi_delete(&m, y->first);
-    sfemi_delete(&m, y->start);
-    sfemi_delete(&m, y->rows);
-    sfemi_delete(&m, y->place);
-    sfemi_delete(&m, y->target);
-    sfemi_delete(&m, y->parent);
-    sfemi_delete(&m, y->child);
-    sfemi_delete(&m, y->sibling);
-    sfemi_delete(&m, y->panel);
-    sfemi_delete(&m, y->panel32);
-    sfemi_delete(&m, y->update);
-    sfemi_delete(&m, y->update_kept);
-    sfemi_delete(&m, y->signs);
-    sfemi_delete(&m, y->scratch);
-    sfemi_delete(&m, y->from);
-    sfemi_delete(&m, y->source);
-    sfemi_delete(&m, y->into);
-    sfemi_delete(&m, y->task);
-    sfemi_delete(&m, y->of);
-    sfemi_delete(&m, y->buffer);
-    sfemi_delete(&m, y->level);
-    sfemi_delete(&m, y->by_level);
-    sfemi_delete(&m, y->at_level);
-    sfemi_delete(&m, y);
+    if (y && SFEMI_ATOMIC_ADD(&y->references, -1) == 1) sfemi_pool_free(&y->pool);
 }
 
 /* Is it worth a merged supernode of k columns over m rows to hold so many zeros? On small meshes
@@ -10608,7 +13417,7 @@ static int sfemi_merge_pays(double k, double m, double zeros, sfem_int n, size_t
 static sfem_status sfemi_symbolic_supernodes(sfemi_symbolic *y, const sfemi_tree *t,
                                              sfem_error *err)
 {
-    const sfem_allocator *m = &y->allocator;
+    const sfem_allocator *m = &y->pool.allocator;
     const sfem_int n = t->n;
     sfem_status status = SFEM_OK;
     sfem_int *pool = NULL, *head, *tail, *next, *of, *parent, *width, *below, *child, *sibling, *to;
@@ -10684,12 +13493,12 @@ static sfem_status sfemi_symbolic_supernodes(sfemi_symbolic *y, const sfemi_tree
     sfemi_tree_postorder(count, parent, to, of, sibling);
     for (s = 0; s < count; ++s) child[to[s]] = s;
     for (i = 0; i < count; ++i) made += width[child[i]] > 0;
-    SFEMI_NEW(sfem_int, y->first, m, (size_t)made + 1);
-    SFEMI_NEW(sfem_int, y->parent, m, (size_t)made + 1);
-    SFEMI_NEW(sfem_int, y->child, m, (size_t)made + 1);
-    SFEMI_NEW(sfem_int, y->sibling, m, (size_t)made + 1);
-    SFEMI_NEW(sfem_int, y->order, m, (size_t)n + 1);
-    SFEMI_NEW(sfem_int, y->inverse, m, (size_t)n + 1);
+    SFEMI_TAKE(sfem_int, y->first, &y->pool, (size_t)made + 1);
+    SFEMI_TAKE(sfem_int, y->parent, &y->pool, (size_t)made + 1);
+    SFEMI_TAKE(sfem_int, y->child, &y->pool, (size_t)made + 1);
+    SFEMI_TAKE(sfem_int, y->sibling, &y->pool, (size_t)made + 1);
+    SFEMI_TAKE(sfem_int, y->order, &y->pool, (size_t)n + 1);
+    SFEMI_TAKE(sfem_int, y->inverse, &y->pool, (size_t)n + 1);
     y->supernodes = made;
     for (made = 0, i = 0; i < count; ++i) {
         s = child[i];
@@ -10754,14 +13563,14 @@ static void sfemi_sort_int(sfem_int *v, size_t n)
 /* The rows below each supernode: those of A and of its children. */
 static sfem_status sfemi_symbolic_rows(sfemi_symbolic *y, const sfemi_graph *g, sfem_error *err)
 {
-    const sfem_allocator *m = &y->allocator;
+    const sfem_allocator *m = &y->pool.allocator;
     sfem_status status = SFEM_OK;
-    sfem_int *mark = NULL, i, s, c, e, k;
+    sfem_int *mark = NULL, *rows = NULL, i, s, c, e, k;
     size_t total = 0, room = 0, a;
     SFEMI_NEW(sfem_int, mark, m, (size_t)y->n + 1);
-    SFEMI_NEW(size_t, y->start, m, (size_t)y->supernodes + 1);
+    SFEMI_TAKE(size_t, y->start, &y->pool, (size_t)y->supernodes + 1);
     room = 4 * (size_t)y->n + 64;
-    SFEMI_NEW(sfem_int, y->rows, m, room);
+    SFEMI_NEW(sfem_int, rows, m, room);
     for (i = 0; i < y->n; ++i) mark[i] = -1;
     for (s = 0; s < y->supernodes; ++s) {
         const sfem_int last = y->first[s + 1];
@@ -10770,9 +13579,9 @@ static sfem_status sfemi_symbolic_rows(sfemi_symbolic *y, const sfemi_graph *g, 
             sfem_int *bigger;
             room = 2 * room + (size_t)y->n;
             SFEMI_NEW(sfem_int, bigger, m, room);
-            memcpy(bigger, y->rows, total * sizeof *bigger);
-            sfemi_delete(m, y->rows);
-            y->rows = bigger;
+            memcpy(bigger, rows, total * sizeof *bigger);
+            sfemi_delete(m, rows);
+            rows = bigger;
         }
         for (i = y->first[s]; i < last; ++i) {
             const sfem_int old = y->order[i];
@@ -10780,21 +13589,23 @@ static sfem_status sfemi_symbolic_rows(sfemi_symbolic *y, const sfemi_graph *g, 
                 k = y->inverse[g->adj[e]];
                 if (k < last || mark[k] == s) continue;
                 mark[k] = s;
-                y->rows[total++] = k;
+                rows[total++] = k;
             }
         }
         for (c = y->child[s]; c >= 0; c = y->sibling[c])
             for (a = y->start[c]; a < y->start[c + 1]; ++a) {
-                k = y->rows[a];
+                k = rows[a];
                 if (k < last || mark[k] == s) continue;
                 mark[k] = s;
-                y->rows[total++] = k;
+                rows[total++] = k;
             }
-        sfemi_sort_int(y->rows + begin, total - begin);
+        sfemi_sort_int(rows + begin, total - begin);
         y->start[s + 1] = total;
     }
-    SFEMI_NEW(sfem_int, y->place, m, total + 1);
-    SFEMI_NEW(sfem_int, y->target, m, total + 1);
+    y->rows = (sfem_int *)sfemi_pool_own(&y->pool, rows);
+    rows = NULL;
+    SFEMI_TAKE(sfem_int, y->place, &y->pool, total + 1);
+    SFEMI_TAKE(sfem_int, y->target, &y->pool, total + 1);
     for (s = 0; s < y->supernodes; ++s) {
         const sfem_int p = y->parent[s];
         size_t b;
@@ -10811,20 +13622,21 @@ static sfem_status sfemi_symbolic_rows(sfemi_symbolic *y, const sfemi_graph *g, 
     }
 done:
     sfemi_delete(m, mark);
+    sfemi_delete(m, rows);
     return status;
 }
 
 /* Where each block of A goes. */
 static sfem_status sfemi_symbolic_blocks(sfemi_symbolic *y, const sfem_matrix *a, sfem_error *err)
 {
-    const sfem_allocator *m = &y->allocator;
+    const sfem_allocator *m = &y->pool.allocator;
     sfem_status status = SFEM_OK;
     sfem_int *where = NULL, *of = NULL, i, s, k;
     SFEMI_NEW(sfem_int, of, m, (size_t)y->n + 1);
     SFEMI_NEW(sfem_int, where, m, (size_t)y->n + 1);
-    SFEMI_NEW(sfem_int, y->from, m, (size_t)y->supernodes + 2);
-    SFEMI_NEW(sfem_int, y->source, m, (size_t)y->blocks + 1);
-    SFEMI_NEW(sfem_int, y->into, m, 2 * (size_t)y->blocks + 2);
+    SFEMI_TAKE(sfem_int, y->from, &y->pool, (size_t)y->supernodes + 2);
+    SFEMI_TAKE(sfem_int, y->source, &y->pool, (size_t)y->blocks + 1);
+    SFEMI_TAKE(sfem_int, y->into, &y->pool, 2 * (size_t)y->blocks + 2);
     for (s = 0; s < y->supernodes; ++s)
         for (i = y->first[s]; i < y->first[s + 1]; ++i) of[i] = s;
 #define SFEMI_LOW(i, k)                                                                            \
@@ -10894,14 +13706,14 @@ static double sfemi_front_flops(const sfemi_symbolic *y, sfem_int s)
 
 static sfem_status sfemi_symbolic_tasks(sfemi_symbolic *y, sfem_error *err)
 {
-    const sfem_allocator *m = &y->allocator;
+    const sfem_allocator *m = &y->pool.allocator;
     const sfem_int ns = y->supernodes;
     sfem_status status = SFEM_OK;
     double *weight = NULL, total = 0, sum = 0;
     sfem_int *level = NULL, s, t, tasks = 0, top = 0;
     SFEMI_NEW(double, weight, m, (size_t)ns + 1);
-    SFEMI_NEW(sfem_int, y->of, m, (size_t)ns + 1);
-    SFEMI_NEW(sfem_int, y->task, m, (size_t)ns + 1);
+    SFEMI_TAKE(sfem_int, y->of, &y->pool, (size_t)ns + 1);
+    SFEMI_TAKE(sfem_int, y->task, &y->pool, (size_t)ns + 1);
     for (s = 0; s < ns; ++s) {
         const double own = sfemi_front_flops(y, s);
         weight[s] += own + 2000; /* the work around a front */
@@ -10930,9 +13742,9 @@ static sfem_status sfemi_symbolic_tasks(sfemi_symbolic *y, sfem_error *err)
         if (p >= 0 && level[y->of[p]] <= level[t]) level[y->of[p]] = level[t] + 1;
     }
     y->levels = tasks ? top + 1 : 0;
-    SFEMI_NEW(sfem_int, y->level, m, (size_t)y->levels + 3);
-    SFEMI_NEW(sfem_int, y->by_level, m, (size_t)tasks + 1);
-    SFEMI_NEW(sfem_int, y->at_level, m, (size_t)tasks + 1);
+    SFEMI_TAKE(sfem_int, y->level, &y->pool, (size_t)y->levels + 3);
+    SFEMI_TAKE(sfem_int, y->by_level, &y->pool, (size_t)tasks + 1);
+    SFEMI_TAKE(sfem_int, y->at_level, &y->pool, (size_t)tasks + 1);
     for (t = 0; t < tasks; ++t) ++y->level[level[t] + 2];
     for (t = 0; t < y->levels; ++t) y->level[t + 2] += y->level[t + 1];
     for (t = 0; t < tasks; ++t) {
@@ -10948,7 +13760,7 @@ done:
 /* The places of L, of the update matrices, and of the rows in the solve's work array. */
 static sfem_status sfemi_symbolic_layout(sfemi_symbolic *y, sfem_error *err)
 {
-    const sfem_allocator *m = &y->allocator;
+    const sfem_allocator *m = &y->pool.allocator;
     const sfem_int ns = y->supernodes;
     const size_t w = y->kernels->width;
     sfem_status status = SFEM_OK;
@@ -10957,13 +13769,13 @@ static sfem_status sfemi_symbolic_layout(sfemi_symbolic *y, sfem_error *err)
     sfem_int s, t, count = 0;
     SFEMI_NEW(sfemi_slot, slot, m, (size_t)ns + 1);
     SFEMI_NEW(size_t, base, m, (size_t)y->tasks + 2);
-    SFEMI_NEW(size_t, y->panel, m, (size_t)ns + 1);
-    SFEMI_NEW(size_t, y->panel32, m, (size_t)ns + 1);
-    SFEMI_NEW(size_t, y->update, m, (size_t)ns + 1);
-    SFEMI_NEW(size_t, y->update_kept, m, (size_t)ns + 1);
-    SFEMI_NEW(size_t, y->signs, m, (size_t)y->tasks + 1);
-    SFEMI_NEW(size_t, y->scratch, m, (size_t)y->tasks + 1);
-    SFEMI_NEW(sfem_int, y->buffer, m, (size_t)y->tasks + 1);
+    SFEMI_TAKE(size_t, y->panel, &y->pool, (size_t)ns + 1);
+    SFEMI_TAKE(size_t, y->panel32, &y->pool, (size_t)ns + 1);
+    SFEMI_TAKE(size_t, y->update, &y->pool, (size_t)ns + 1);
+    SFEMI_TAKE(size_t, y->update_kept, &y->pool, (size_t)ns + 1);
+    SFEMI_TAKE(size_t, y->signs, &y->pool, (size_t)y->tasks + 1);
+    SFEMI_TAKE(size_t, y->scratch, &y->pool, (size_t)y->tasks + 1);
+    SFEMI_TAKE(sfem_int, y->buffer, &y->pool, (size_t)y->tasks + 1);
     for (t = 0; t < y->tasks; ++t) {
         const sfem_int root = y->task[t + 1] - 1, end = y->first[root + 1];
         size_t widest = 0, signs = 0;
@@ -11080,10 +13892,9 @@ static sfem_status sfemi_symbolic_create(const sfem_ldl_def *def, const sfem_mat
     if (def->x && !sfemi_all_finite(def->x, 3 * (size_t)a->n))
         return sfemi_fail(err, SFEM_NOT_FINITE,
                           "a coordinate given for the ordering is not finite");
-    SFEMI_NEW(sfemi_symbolic, y, m, 1);
+    SFEMI_NEW_OWNER(sfemi_symbolic, y, m);
     y->references = 1;
-    y->allocator = *m;
-    y->kernels = sfemi_ldl_kernels_of(sfemi_path());
+    y->kernels = &sfemi_ldl_path[sfemi_path()];
     y->n = a->n;
     y->per = def->scalar ? 1 : 3;
     y->blocks = a->n ? a->row[a->n] : 0;
@@ -11120,6 +13931,7 @@ done:
 struct sfem_ldl {
     sfemi_symbolic *symbolic;
     sfem_allocator allocator;
+    sfemi_pool pool;      /* all of it, but for the analysis */
     sfem_exec exec;
     int positive, mixed, keep, valid;
     double *l;            /* all panels */
@@ -12030,7 +14842,7 @@ static sfem_status sfemi_ldl_make(const sfem_ldl *like, sfemi_symbolic *y, const
     sfem_status status = SFEM_OK;
     sfem_ldl *ldl = NULL;
     const size_t n = y->per * (size_t)y->n, ns = (size_t)y->supernodes, nt = (size_t)y->tasks;
-    SFEMI_NEW(sfem_ldl, ldl, m, 1);
+    SFEMI_NEW_OWNER(sfem_ldl, ldl, m);
     ldl->symbolic = y;
     y = NULL;
     ldl->allocator = *m;
@@ -12039,20 +14851,20 @@ static sfem_status sfemi_ldl_make(const sfem_ldl *like, sfemi_symbolic *y, const
     ldl->mixed = like->mixed;
     ldl->keep = like->keep;
     y = ldl->symbolic;
-    SFEMI_NEW(double, ldl->l, m, y->panel[ns] + SFEMI_PANEL_SLACK);
-    if (ldl->mixed) SFEMI_NEW(float, ldl->l32, m, y->panel32[ns] + SFEMI_PANEL_SLACK);
-    SFEMI_NEW(double, ldl->update, m, (ldl->keep ? y->update_kept_size : y->update_size) + 1);
-    if (!ldl->positive) SFEMI_NEW(double, ldl->signs, m, y->signs[nt] + 1);
-    if (!ldl->positive) SFEMI_NEW(double, ldl->probe, m, 2 * n + sfem_ldl_work_size(ldl, 1));
-    SFEMI_NEW(double, ldl->scale, m, n + 1);
-    SFEMI_NEW(double, ldl->floor, m, n + 1);
-    SFEMI_NEW(double, ldl->lost, m, nt + 1);
-    SFEMI_NEW(sfem_int, ldl->lost_at, m, nt + 1);
-    SFEMI_NEW(sfem_int, ldl->units, m, nt + 1);
-    SFEMI_NEW(sfemi_counter, ldl->done, m, nt + 1);
-    SFEMI_NEW(sfemi_throttle, ldl->throttle, m, 3);
-    SFEMI_NEW(sfem_int, ldl->negative, m, ns + 1);
-    SFEMI_NEW(unsigned char, ldl->stale, m, ns + 1);
+    SFEMI_TAKE(double, ldl->l, &ldl->pool, y->panel[ns] + SFEMI_PANEL_SLACK);
+    if (ldl->mixed) SFEMI_TAKE(float, ldl->l32, &ldl->pool, y->panel32[ns] + SFEMI_PANEL_SLACK);
+    SFEMI_TAKE(double, ldl->update, &ldl->pool, (ldl->keep ? y->update_kept_size : y->update_size) + 1);
+    if (!ldl->positive) SFEMI_TAKE(double, ldl->signs, &ldl->pool, y->signs[nt] + 1);
+    if (!ldl->positive) SFEMI_TAKE(double, ldl->probe, &ldl->pool, 2 * n + sfem_ldl_work_size(ldl, 1));
+    SFEMI_TAKE(double, ldl->scale, &ldl->pool, n + 1);
+    SFEMI_TAKE(double, ldl->floor, &ldl->pool, n + 1);
+    SFEMI_TAKE(double, ldl->lost, &ldl->pool, nt + 1);
+    SFEMI_TAKE(sfem_int, ldl->lost_at, &ldl->pool, nt + 1);
+    SFEMI_TAKE(sfem_int, ldl->units, &ldl->pool, nt + 1);
+    SFEMI_TAKE(sfemi_counter, ldl->done, &ldl->pool, nt + 1);
+    SFEMI_TAKE(sfemi_throttle, ldl->throttle, &ldl->pool, 3);
+    SFEMI_TAKE(sfem_int, ldl->negative, &ldl->pool, ns + 1);
+    SFEMI_TAKE(unsigned char, ldl->stale, &ldl->pool, ns + 1);
     memset(ldl->stale, 1, ns);
     sfemi_factor_units(ldl);
     if (a) SFEMI_TRY(sfemi_ldl_factor(ldl, a, err));
@@ -12184,25 +14996,9 @@ SFEM_DEF sfem_ldl_info sfem_ldl_get_info(const sfem_ldl *ldl)
 
 SFEM_DEF void sfem_ldl_free(sfem_ldl *ldl)
 {
-    sfem_allocator m;
     if (!ldl) return;
-    m = ldl->allocator;
     sfemi_symbolic_free(ldl->symbolic);
-    sfemi_delete(&m, ldl->l);
-    sfemi_delete(&m, ldl->l32);
-    sfemi_delete(&m, ldl->update);
-    sfemi_delete(&m, ldl->signs);
-    sfemi_delete(&m, ldl->probe);
-    sfemi_delete(&m, ldl->scale);
-    sfemi_delete(&m, ldl->floor);
-    sfemi_delete(&m, ldl->lost);
-    sfemi_delete(&m, ldl->lost_at);
-    sfemi_delete(&m, ldl->units);
-    sfemi_delete(&m, ldl->done);
-    sfemi_delete(&m, ldl->throttle);
-    sfemi_delete(&m, ldl->negative);
-    sfemi_delete(&m, ldl->stale);
-    sfemi_delete(&m, ldl);
+    sfemi_pool_free(&ldl->pool);
 }
 
 /* ============================================================================================
@@ -12216,7 +15012,7 @@ SFEM_DEF void sfem_ldl_free(sfem_ldl *ldl)
 static sfem_int sfemi_dense_factor(sfem_int n, sfem_real *a, int unit, sfem_int *negative,
                                    double *lost)
 {
-    const sfemi_ldl_kernels *k = sfemi_ldl_kernels_of(sfemi_path());
+    const sfemi_ldl_kernels *k = &sfemi_ldl_path[sfemi_path()];
     const size_t m = (size_t)n;
     size_t i, j, p, q;
     *negative = 0;
@@ -12274,7 +15070,7 @@ SFEM_DEF sfem_status sfem_dense_ldl(sfem_int n, sfem_real *a, sfem_int *negative
 /* x = L^-1 x: eight columns, then what they do to the rows below. */
 static void sfemi_dense_forward(sfem_int n, const sfem_real *a, sfem_real *x, int unit)
 {
-    const sfemi_ldl_kernels *k = sfemi_ldl_kernels_of(sfemi_path());
+    const sfemi_ldl_kernels *k = &sfemi_ldl_path[sfemi_path()];
     const size_t m = (size_t)n;
     size_t i, j, p, end;
     for (j = 0; j < m; j = end) {
@@ -12290,7 +15086,7 @@ static void sfemi_dense_forward(sfem_int n, const sfem_real *a, sfem_real *x, in
 /* x = L^-T x: four columns, from the last. */
 static void sfemi_dense_backward(sfem_int n, const sfem_real *a, sfem_real *x, int unit)
 {
-    const sfemi_ldl_kernels *k = sfemi_ldl_kernels_of(sfemi_path());
+    const sfemi_ldl_kernels *k = &sfemi_ldl_path[sfemi_path()];
     const size_t m = (size_t)n;
     size_t i, j, p, end;
     for (end = m; end > 0; end = j) {
@@ -12345,7 +15141,7 @@ SFEM_DEF void sfem_dense_ldl_solve(sfem_int n, const sfem_real *a, sfem_int rhs,
 static void sfemi_eigen_reduce(size_t n, sfem_real *a, sfem_real *d, sfem_real *e, sfem_real *tau,
                                sfem_real *work)
 {
-    const sfemi_eigen_kernels *f = sfemi_eigen_kernels_of(sfemi_path());
+    const sfemi_eigen_kernels *f = &sfemi_eigen_path[sfemi_path()];
     sfem_real *w = work, *y = work + n, *v = work + 2 * n;
     size_t k, i, j;
     memset(w, 0, n * sizeof *w);
@@ -12386,7 +15182,7 @@ static void sfemi_eigen_reduce(size_t n, sfem_real *a, sfem_real *d, sfem_real *
 /* Writes Q over the reflections that made it. */
 static void sfemi_eigen_form(size_t n, sfem_real *a, const sfem_real *tau)
 {
-    const sfemi_eigen_kernels *f = sfemi_eigen_kernels_of(sfemi_path());
+    const sfemi_eigen_kernels *f = &sfemi_eigen_path[sfemi_path()];
     size_t k, i, j;
     for (k = n - 1; k-- > 0;) /* H_k stands in column k + 1, so that it starts on the diagonal */
         memcpy(a + (k + 1) * n + k + 1, a + k * n + k + 1, (n - k - 1) * sizeof *a);
@@ -12406,7 +15202,7 @@ static void sfemi_eigen_form(size_t n, sfem_real *a, const sfem_real *tau)
 static int sfemi_eigen_ql(size_t n, sfem_real *d, sfem_real *e, size_t rows, sfem_real *z, size_t h,
                           sfem_real *work)
 {
-    const sfemi_eigen_kernels *f = sfemi_eigen_kernels_of(sfemi_path());
+    const sfemi_eigen_kernels *f = &sfemi_eigen_path[sfemi_path()];
     sfem_real *cosine = work, *sine = work + n;
     size_t l, m, i;
     int turns;
@@ -12557,7 +15353,7 @@ static int sfemi_eigen_band_vectors(size_t n, const sfem_real *a, size_t count,
                                     const sfem_real *lambda, sfem_real size, sfem_real *x,
                                     sfem_real *work)
 {
-    const sfemi_eigen_kernels *f = sfemi_eigen_kernels_of(sfemi_path());
+    const sfemi_eigen_kernels *f = &sfemi_eigen_path[sfemi_path()];
     sfem_real *u = work, *l = work + 9 * n;
     unsigned char *pivot = (unsigned char *)(work + 13 * n);
     uint32_t random = 1;
@@ -13160,18 +15956,6 @@ static void sfemi_modes_apply(const sfemi_modes *m, const sfem_real df[9], sfem_
     sfemi_mul3_nt(t, m->v, dp);
 }
 
-SFEM_DEF void sfem_law_differential(sfem_law law, sfem_real lambda, sfem_real mu,
-                                    const sfem_real f[9], sfem_tangent kind, const sfem_real df[9],
-                                    sfem_real dp[9])
-{
-    sfem_real g[9];
-    sfemi_modes modes;
-    SFEM_ASSERT(f && df && dp && (unsigned)law <= SFEM_NEOHOOKEAN);
-    sfemi_law_less_one(f, g);
-    sfemi_law_modes(law, lambda, mu, g, kind, &modes);
-    sfemi_modes_apply(&modes, df, dp);
-}
-
 SFEM_DEF void sfem_law_tangent(sfem_law law, sfem_real lambda, sfem_real mu, const sfem_real f[9],
                                sfem_tangent kind, sfem_real tangent[81])
 {
@@ -13253,25 +16037,21 @@ static SFEMI_INLINE void sfemi_pairs_blocks(const sfemi_modes *m, sfem_real volu
 
 typedef void (*sfemi_pairs_kernel)(const sfemi_modes *m, sfem_real volume, sfemi_pairs *w);
 
-static void sfemi_pairs_portable(const sfemi_modes *m, sfem_real volume, sfemi_pairs *w)
+static void sfemi_pairs_0(const sfemi_modes *m, sfem_real volume, sfemi_pairs *w)
 {
     sfemi_pairs_blocks(m, volume, w);
 }
 
 #if SFEMI_X86
-SFEMI_AVX2 static void sfemi_pairs_avx2(const sfemi_modes *m, sfem_real volume, sfemi_pairs *w)
+SFEMI_TARGET_1 static void sfemi_pairs_1(const sfemi_modes *m, sfem_real volume, sfemi_pairs *w)
 {
     sfemi_pairs_blocks(m, volume, w);
 }
+#define sfemi_pairs_2 sfemi_pairs_1 /* on AVX-512, too */
 #endif
-
-static sfemi_pairs_kernel sfemi_pairs_pick(void)
-{
-#if SFEMI_X86
-    if (sfemi_path() > 0) return sfemi_pairs_avx2;
-#endif
-    return sfemi_pairs_portable;
-}
+#define SFEMI_K(p) sfemi_pairs_##p
+static const sfemi_pairs_kernel sfemi_pairs_path[] = SFEMI_PATHS(SFEMI_K);
+#undef SFEMI_K
 
 /* G = sum (u_a - u_0) g_a^T: a translation gives exactly zero. */
 static void sfemi_element_deform(const sfem_real *u0, const sfem_real *u1, const sfem_real *u2,
@@ -13301,7 +16081,7 @@ SFEM_DEF sfem_real sfem_law_tet(sfem_law law, sfem_real lambda, sfem_real mu, co
     if (!k) return energy;
     sfemi_law_modes(law, lambda, mu, grad, kind, &modes);
     sfemi_pairs_fill(&modes, g, 0, &pairs);
-    sfemi_pairs_portable(&modes, volume, &pairs);
+    sfemi_pairs_0(&modes, volume, &pairs);
     for (a = 0, n = 0; a < 4; ++a)
         for (b = 0; b <= a; ++b, ++n)
             for (i = 0; i < 9; ++i) {
@@ -13562,7 +16342,7 @@ typedef void (*sfemi_scatter)(const sfemi_block *block, const sfem_real d[9][SFE
                               sfem_real *out);
 /* spin_a += r of every lane, a = 0, 1, 2, 3: the same signature. */
 
-static void sfemi_gather_portable(const sfemi_block *block, const sfem_real *u,
+static void sfemi_gather_0(const sfemi_block *block, const sfem_real *u,
                                   sfem_real d[9][SFEMI_LANES])
 {
     int l, i;
@@ -13577,7 +16357,7 @@ static void sfemi_gather_portable(const sfemi_block *block, const sfem_real *u,
     }
 }
 
-static void sfemi_scatter_portable(const sfemi_block *block, const sfem_real d[9][SFEMI_LANES],
+static void sfemi_scatter_0(const sfemi_block *block, const sfem_real d[9][SFEMI_LANES],
                                    sfem_real *out)
 {
     int l, i;
@@ -13593,7 +16373,7 @@ static void sfemi_scatter_portable(const sfemi_block *block, const sfem_real d[9
     }
 }
 
-static void sfemi_spread_portable(const sfemi_block *block, const sfem_real r[9][SFEMI_LANES],
+static void sfemi_spread_0(const sfemi_block *block, const sfem_real r[9][SFEMI_LANES],
                                   sfem_real *spin)
 {
     int l, i, a;
@@ -13606,7 +16386,7 @@ static void sfemi_spread_portable(const sfemi_block *block, const sfem_real r[9]
 
 #if SFEMI_X86
 /* Rows <-> columns of four vectors of four. */
-SFEMI_AVX2 static inline void sfemi_transpose_avx2(__m256d v[4])
+SFEMI_TARGET_1 static inline void sfemi_transpose_avx2(__m256d v[4])
 {
     const __m256d a = _mm256_unpacklo_pd(v[0], v[1]), b = _mm256_unpackhi_pd(v[0], v[1]);
     const __m256d c = _mm256_unpacklo_pd(v[2], v[3]), d = _mm256_unpackhi_pd(v[2], v[3]);
@@ -13616,7 +16396,7 @@ SFEMI_AVX2 static inline void sfemi_transpose_avx2(__m256d v[4])
     v[3] = _mm256_permute2f128_pd(b, d, 0x31);
 }
 
-SFEMI_AVX2 static void sfemi_gather_avx2(const sfemi_block *block, const sfem_real *u,
+SFEMI_TARGET_1 static void sfemi_gather_1(const sfemi_block *block, const sfem_real *u,
                                          sfem_real d[9][SFEMI_LANES])
 {
     int l, a;
@@ -13640,12 +16420,12 @@ SFEMI_AVX2 static void sfemi_gather_avx2(const sfemi_block *block, const sfem_re
     }
 }
 
-SFEMI_AVX2 static inline void sfemi_add_avx2(sfem_real *to, __m256d v)
+SFEMI_TARGET_1 static inline void sfemi_add_avx2(sfem_real *to, __m256d v)
 {
     _mm256_storeu_pd(to, _mm256_add_pd(_mm256_loadu_pd(to), v));
 }
 
-SFEMI_AVX2 static void sfemi_scatter_avx2(const sfemi_block *block,
+SFEMI_TARGET_1 static void sfemi_scatter_1(const sfemi_block *block,
                                           const sfem_real d[9][SFEMI_LANES], sfem_real *out)
 {
     int l, a;
@@ -13675,7 +16455,7 @@ SFEMI_AVX2 static void sfemi_scatter_avx2(const sfemi_block *block,
     }
 }
 
-SFEMI_AVX2 static void sfemi_spread_avx2(const sfemi_block *block,
+SFEMI_TARGET_1 static void sfemi_spread_1(const sfemi_block *block,
                                          const sfem_real r[9][SFEMI_LANES], sfem_real *spin)
 {
     int l, i, a, k;
@@ -14053,37 +16833,28 @@ static SFEMI_INLINE void sfemi_lanes_blocks_##S(const sfemi_block *block, sfem_i
 SFEMI_LANE_KERNELS(double, d, SFEMI_MA_d, SFEMI_DOT_d, SFEMI_DET_d, 2e-6, 3e-2)
 SFEMI_LANE_KERNELS(float, f, SFEMI_MA_f, SFEMI_DOT_f, SFEMI_DET_f, 2e-3, 6e-2)
 
-#define SFEMI_BLOCKS_KERNEL(NAME, S, PATH, FUSED, TARGET)                                          \
-TARGET static void NAME(const sfemi_block *block, sfem_int count, const sfem_real *u,              \
-                        sfem_real *out, sfem_real *rotation, sfem_real *spin,                      \
-                        sfemi_totals *totals)                                                      \
+/* WAY 1: gathered, spread and with multiply-adds as AVX2 does it */
+#define SFEMI_BLOCKS_KERNEL(S, PATH, WAY)                                                          \
+SFEMI_TARGET_##PATH static void sfemi_blocks_##S##_##PATH(                                         \
+    const sfemi_block *block, sfem_int count, const sfem_real *u, sfem_real *out,                  \
+    sfem_real *rotation, sfem_real *spin, sfemi_totals *totals)                                    \
 {                                                                                                  \
-    sfemi_lanes_blocks_##S(block, count, u, out, rotation, spin, totals, sfemi_gather_##PATH,      \
-                           sfemi_scatter_##PATH, sfemi_spread_##PATH, FUSED);                      \
+    sfemi_lanes_blocks_##S(block, count, u, out, rotation, spin, totals, sfemi_gather_##WAY,       \
+                           sfemi_scatter_##WAY, sfemi_spread_##WAY, WAY);                          \
 }
 
-SFEMI_BLOCKS_KERNEL(sfemi_blocks_portable_d, d, portable, 0, )
-SFEMI_BLOCKS_KERNEL(sfemi_blocks_portable_f, f, portable, 0, )
+SFEMI_BLOCKS_KERNEL(d, 0, 0)
+SFEMI_BLOCKS_KERNEL(f, 0, 0)
 #if SFEMI_X86
-SFEMI_BLOCKS_KERNEL(sfemi_blocks_avx2_d, d, avx2, 1, SFEMI_AVX2)
-SFEMI_BLOCKS_KERNEL(sfemi_blocks_avx2_f, f, avx2, 1, SFEMI_AVX2)
-SFEMI_BLOCKS_KERNEL(sfemi_blocks_avx512_d, d, avx2, 1, SFEMI_AVX512)
-SFEMI_BLOCKS_KERNEL(sfemi_blocks_avx512_f, f, avx2, 1, SFEMI_AVX512)
+SFEMI_BLOCKS_KERNEL(d, 1, 1)
+SFEMI_BLOCKS_KERNEL(f, 1, 1)
+SFEMI_BLOCKS_KERNEL(d, 2, 1)
+SFEMI_BLOCKS_KERNEL(f, 2, 1)
 #endif
-
-/* The widest path that this processor has. */
-static sfemi_blocks_kernel sfemi_blocks_pick(sfem_precision precision)
-{
-    const int mixed = precision == SFEM_MIXED;
-#if SFEMI_X86
-    switch (sfemi_path()) {
-    case 2: return mixed ? sfemi_blocks_avx512_f : sfemi_blocks_avx512_d;
-    case 1: return mixed ? sfemi_blocks_avx2_f : sfemi_blocks_avx2_d;
-    default: break;
-    }
-#endif
-    return mixed ? sfemi_blocks_portable_f : sfemi_blocks_portable_d;
-}
+#undef SFEMI_BLOCKS_KERNEL
+#define SFEMI_K(p) {sfemi_blocks_d_##p, sfemi_blocks_f_##p}
+static const sfemi_blocks_kernel sfemi_blocks_path[][2] = SFEMI_PATHS(SFEMI_K); /* SFEM_DOUBLE, SFEM_MIXED */
+#undef SFEMI_K
 
 /* ---- the same for cells of smooth tets (>>smooth), whose G are known: SFEMI_LANES of one law ---- */
 
@@ -14131,34 +16902,27 @@ static SFEMI_INLINE sfem_real sfemi_lanes_cells_##S(int law, const sfem_real *la
 SFEMI_CELL_LANES(double, d, SFEMI_MA_d, SFEMI_DOT_d, SFEMI_DET_d)
 SFEMI_CELL_LANES(float, f, SFEMI_MA_f, SFEMI_DOT_f, SFEMI_DET_f)
 
-#define SFEMI_CELLS_KERNEL(NAME, S, FUSED, TARGET)                                                 \
-TARGET static sfem_real NAME(int law, const sfem_real *lambda, const sfem_real *mu, const sfem_real *stab, \
-                             sfem_real *p, sfem_real *rotation)                                    \
+#define SFEMI_CELLS_KERNEL(S, PATH, FUSED)                                                         \
+SFEMI_TARGET_##PATH static sfem_real sfemi_cells_##S##_##PATH(                                     \
+    int law, const sfem_real *lambda, const sfem_real *mu, const sfem_real *stab, sfem_real *p,    \
+    sfem_real *rotation)                                                                           \
 {                                                                                                  \
     return sfemi_lanes_cells_##S(law, lambda, mu, stab, p, rotation, FUSED);                       \
 }
 
-SFEMI_CELLS_KERNEL(sfemi_cells_portable_d, d, 0, )
-SFEMI_CELLS_KERNEL(sfemi_cells_portable_f, f, 0, )
+SFEMI_CELLS_KERNEL(d, 0, 0)
+SFEMI_CELLS_KERNEL(f, 0, 0)
 #if SFEMI_X86
-SFEMI_CELLS_KERNEL(sfemi_cells_avx2_d, d, 1, SFEMI_AVX2)
-SFEMI_CELLS_KERNEL(sfemi_cells_avx2_f, f, 1, SFEMI_AVX2)
-SFEMI_CELLS_KERNEL(sfemi_cells_avx512_d, d, 1, SFEMI_AVX512)
-SFEMI_CELLS_KERNEL(sfemi_cells_avx512_f, f, 1, SFEMI_AVX512)
+SFEMI_CELLS_KERNEL(d, 1, 1)
+SFEMI_CELLS_KERNEL(f, 1, 1)
+SFEMI_CELLS_KERNEL(d, 2, 1)
+SFEMI_CELLS_KERNEL(f, 2, 1)
 #endif
-
-static sfemi_cells_kernel sfemi_cells_pick(sfem_precision precision)
-{
-    const int mixed = precision == SFEM_MIXED;
-#if SFEMI_X86
-    switch (sfemi_path()) {
-    case 2: return mixed ? sfemi_cells_avx512_f : sfemi_cells_avx512_d;
-    case 1: return mixed ? sfemi_cells_avx2_f : sfemi_cells_avx2_d;
-    default: break;
-    }
-#endif
-    return mixed ? sfemi_cells_portable_f : sfemi_cells_portable_d;
-}
+#undef SFEMI_CELLS_KERNEL
+#undef SFEMI_CELL_LANES
+#define SFEMI_K(p) {sfemi_cells_d_##p, sfemi_cells_f_##p}
+static const sfemi_cells_kernel sfemi_cells_path[][2] = SFEMI_PATHS(SFEMI_K); /* SFEM_DOUBLE, SFEM_MIXED */
+#undef SFEMI_K
 
 #ifndef SFEM_NO_BODY
 /* Lanes without a matrix, and where over is 0, get the unit matrix. */
@@ -14207,30 +16971,23 @@ static SFEMI_INLINE void sfemi_lanes_polars(sfem_int count, const sfem_real *sum
     }
 }
 
-#define SFEMI_POLARS_KERNEL(NAME, FUSED, TARGET)                                                   \
-TARGET static void NAME(sfem_int count, const sfem_real *sum, const sfem_real *over,               \
-                        sfem_real *rotation, sfem_real *trace)                                     \
+#define SFEMI_POLARS_KERNEL(PATH, FUSED)                                                           \
+SFEMI_TARGET_##PATH static void sfemi_polars_##PATH(sfem_int count, const sfem_real *sum,          \
+                                                    const sfem_real *over, sfem_real *rotation,    \
+                                                    sfem_real *trace)                              \
 {                                                                                                  \
     sfemi_lanes_polars(count, sum, over, rotation, trace, FUSED);                                  \
 }
 
-SFEMI_POLARS_KERNEL(sfemi_polars_portable, 0, )
+SFEMI_POLARS_KERNEL(0, 0)
 #if SFEMI_X86
-SFEMI_POLARS_KERNEL(sfemi_polars_avx2, 1, SFEMI_AVX2)
-SFEMI_POLARS_KERNEL(sfemi_polars_avx512, 1, SFEMI_AVX512)
+SFEMI_POLARS_KERNEL(1, 1)
+SFEMI_POLARS_KERNEL(2, 1)
 #endif
-
-static sfemi_polars_kernel sfemi_polars_pick(void)
-{
-#if SFEMI_X86
-    switch (sfemi_path()) {
-    case 2: return sfemi_polars_avx512;
-    case 1: return sfemi_polars_avx2;
-    default: break;
-    }
-#endif
-    return sfemi_polars_portable;
-}
+#undef SFEMI_POLARS_KERNEL
+#define SFEMI_K(p) sfemi_polars_##p
+static const sfemi_polars_kernel sfemi_polars_path[] = SFEMI_PATHS(SFEMI_K);
+#undef SFEMI_K
 #endif
 
 /* ============================================================================================
@@ -14844,10 +17601,14 @@ typedef struct sfemi_smooth_forces {
     sfem_int nodes;
     sfem_real stiffest; /* what the weights are relative to */
     sfemi_cells_kernel kernel;
-    /* G of a group's cells, by lanes; the force of a node, and the ring's part of the energy */
-    void (*gather)(const sfemi_smooth *s, sfem_int first, const sfem_real *u4, sfem_real *p);
-    sfem_real (*node)(const struct sfemi_smooth_forces *job, sfem_int i);
+    const struct sfemi_smooth_kernels *gather;
 } sfemi_smooth_forces;
+
+/* G of a group's cells, by lanes; the force of a node, and the ring's part of the energy */
+typedef struct sfemi_smooth_kernels {
+    void (*cells)(const sfemi_smooth *s, sfem_int first, const sfem_real *u4, sfem_real *p);
+    sfem_real (*node)(const sfemi_smooth_forces *job, sfem_int i);
+} sfemi_smooth_kernels;
 
 /* G = sum u_j g_j^T of a cell, `apart` from one entry to the next. Differences, so that a translation is only
  * rounding. */
@@ -14869,7 +17630,7 @@ static void sfemi_smooth_gradient(const sfemi_smooth *s, sfem_int c, const sfem_
     out[6 * apart] = g6, out[7 * apart] = g7, out[8 * apart] = g8;
 }
 
-static void sfemi_smooth_gather_portable(const sfemi_smooth *s, sfem_int first, const sfem_real *u4, sfem_real *p)
+static void sfemi_smooth_cells_0(const sfemi_smooth *s, sfem_int first, const sfem_real *u4, sfem_real *p)
 {
     sfem_int c, k;
     for (c = first; c < first + SFEMI_LANES; ++c, ++p) {
@@ -14888,7 +17649,7 @@ static void sfemi_smooth_gather_portable(const sfemi_smooth *s, sfem_int first, 
     }
 }
 
-static sfem_real sfemi_smooth_node_portable(const sfemi_smooth_forces *job, sfem_int i)
+static sfem_real sfemi_smooth_node_0(const sfemi_smooth_forces *job, sfem_int i)
 {
     const sfemi_smooth *s = job->smooth;
     const sfem_real *u = job->u4 + 4 * (size_t)i;
@@ -14913,8 +17674,7 @@ static sfem_real sfemi_smooth_node_portable(const sfemi_smooth_forces *job, sfem
 }
 
 #if SFEMI_X86
-SFEMI_AVX2 static void sfemi_smooth_gather_avx2(const sfemi_smooth *s, sfem_int first, const sfem_real *u4,
-                                                sfem_real *p)
+SFEMI_TARGET_1 static void sfemi_smooth_cells_1(const sfemi_smooth *s, sfem_int first, const sfem_real *u4, sfem_real *p)
 {
     sfem_real out[12];
     sfem_int c, k;
@@ -14938,7 +17698,7 @@ SFEMI_AVX2 static void sfemi_smooth_gather_avx2(const sfemi_smooth *s, sfem_int 
     }
 }
 
-SFEMI_AVX2 static sfem_real sfemi_smooth_node_avx2(const sfemi_smooth_forces *job, sfem_int i)
+SFEMI_TARGET_1 static sfem_real sfemi_smooth_node_1(const sfemi_smooth_forces *job, sfem_int i)
 {
     const sfemi_smooth *s = job->smooth;
     const __m256d u = _mm256_loadu_pd(job->u4 + 4 * (size_t)i);
@@ -14964,6 +17724,17 @@ SFEMI_AVX2 static sfem_real sfemi_smooth_node_avx2(const sfemi_smooth_forces *jo
 }
 #endif
 
+/* WAY_2: vectors of a node's three coordinates gain nothing from AVX-512 */
+#define SFEMI_WAY_0 {sfemi_smooth_cells_0, sfemi_smooth_node_0}
+#define SFEMI_WAY_1 {sfemi_smooth_cells_1, sfemi_smooth_node_1}
+#define SFEMI_WAY_2 SFEMI_WAY_1
+#define SFEMI_K(p) SFEMI_WAY_##p
+static const sfemi_smooth_kernels sfemi_smooth_path[] = SFEMI_PATHS(SFEMI_K);
+#undef SFEMI_K
+#undef SFEMI_WAY_0
+#undef SFEMI_WAY_1
+#undef SFEMI_WAY_2
+
 static void sfemi_smooth_spread_u(void *data, sfem_int index)
 {
     const sfemi_smooth_forces *job = (const sfemi_smooth_forces *)data;
@@ -14987,7 +17758,7 @@ static void sfemi_smooth_some_cells(void *data, sfem_int index)
     for (group = index * SFEMI_CELL_TASK; group < end; ++group) {
         const size_t first = SFEMI_LANES * (size_t)group;
         sfem_real *q = job->q + 12 * first;
-        job->gather(s, (sfem_int)first, job->u4, p);
+        job->gather->cells(s, (sfem_int)first, job->u4, p);
         job->energy[group] = job->kernel(s->law[group], job->lambda + first, s->mu + first, s->stab + first, p,
                                          job->sum && group < s->star_groups ? job->r + 9 * first : NULL);
         for (l = 0; l < SFEMI_LANES; ++l, q += 12) {
@@ -15008,7 +17779,7 @@ static void sfemi_smooth_some_nodes(void *data, sfem_int index)
     int c;
     if (end - index * SFEMI_NODE_TASK > SFEMI_NODE_TASK) end = (index + 1) * SFEMI_NODE_TASK;
     for (i = index * SFEMI_NODE_TASK; i < end; ++i) {
-        energy += job->node(job, i);
+        energy += job->gather->node(job, i);
         if (!job->sum) continue;
         memset(job->sum + 9 * (size_t)i, 0, 9 * sizeof *job->sum);
         for (k = s->in_start[i]; k < s->in_start[i + 1] && s->in_cell[k] < stars; ++k) {
@@ -15041,15 +17812,8 @@ static sfem_real sfemi_smooth_run(sfemi_smooth_forces *job, sfem_precision preci
     job->q = job->u4 + 4 * (size_t)job->nodes;
     job->r = job->q + 12 * SFEMI_LANES * (size_t)s->groups;
     job->energy = job->r + 9 * SFEMI_LANES * (size_t)s->star_groups;
-    job->kernel = sfemi_cells_pick(precision);
-    job->gather = sfemi_smooth_gather_portable;
-    job->node = sfemi_smooth_node_portable;
-#if SFEMI_X86
-    if (sfemi_path() >= 1) {
-        job->gather = sfemi_smooth_gather_avx2;
-        job->node = sfemi_smooth_node_avx2;
-    }
-#endif
+    job->kernel = sfemi_cells_path[sfemi_path()][precision == SFEM_MIXED];
+    job->gather = &sfemi_smooth_path[sfemi_path()];
     sfemi_run(exec, nodes, sfemi_smooth_spread_u, job);
     sfemi_run(exec, cells, sfemi_smooth_some_cells, job);
     sfemi_run(exec, nodes, sfemi_smooth_some_nodes, job);
@@ -15260,29 +18024,6 @@ struct sfem_model {
     sfem_matrix_upper wide_upper; /* and its columns */
 };
 
-/* Sections this short need no more than a spin lock. */
-static void sfemi_lock(int *lock)
-{
-#if defined(__GNUC__)
-    while (__atomic_exchange_n(lock, 1, __ATOMIC_ACQUIRE)) continue;
-#elif defined(_MSC_VER)
-    while (_InterlockedExchange((volatile long *)lock, 1)) continue;
-#else
-    *lock = 1;
-#endif
-}
-
-static void sfemi_unlock(int *lock)
-{
-#if defined(__GNUC__)
-    __atomic_store_n(lock, 0, __ATOMIC_RELEASE);
-#elif defined(_MSC_VER)
-    _InterlockedExchange((volatile long *)lock, 0);
-#else
-    *lock = 0;
-#endif
-}
-
 SFEM_DEF sfem_material sfem_default_material(void)
 {
     sfem_material m;
@@ -15345,6 +18086,27 @@ static sfem_int sfemi_fem_material_of(const sfem_model_def *def, sfem_int tet)
     return def->mesh->region ? def->mesh->region[tet] : 0;
 }
 
+/* Numbers like 1 .. count are those of a file that counts from 1. */
+static sfem_status sfemi_fem_missing_material(const sfem_model_def *def, sfem_int tet, sfem_int m, sfem_error *err)
+{
+    const sfem_int count = def->material_count;
+    const char *what = def->tet_material ? "tet_material" : "region";
+    sfem_int least = m, most = m, i;
+    for (i = 0; i < def->mesh->tets; ++i) {
+        const sfem_int k = sfemi_fem_material_of(def, i);
+        least = k < least ? k : least;
+        most = k > most ? k : most;
+    }
+    if (least == 1 && most == count)
+        return sfemi_fail_at(err, SFEM_BAD_ARGUMENT, -1, tet,
+                             "tet %d has material %d, there are 0 to %d: %s numbers start at 0, those of this mesh at 1",
+                             (int)tet, (int)m, (int)count - 1, what);
+    return sfemi_fail_at(err, SFEM_BAD_ARGUMENT, -1, tet,
+                         "tet %d has material %d, which is missing: there are %d, and the %s numbers of this mesh are %d to "
+                         "%d, from 0",
+                         (int)tet, (int)m, (int)count, what, (int)least, (int)most);
+}
+
 static sfem_status sfemi_fem_check(const sfem_model_def *def, sfem_error *err)
 {
     const sfem_int count = def->materials ? def->material_count : 1;
@@ -15352,6 +18114,7 @@ static sfem_status sfemi_fem_check(const sfem_model_def *def, sfem_error *err)
     sfem_int i;
     if (!sfemi_made_by_default(def->cookie, SFEMI_COOKIE_MODEL, "sfem_default_model_def", err))
         return SFEM_BAD_ARGUMENT;
+    if (!def->mesh) return sfemi_fail(err, SFEM_BAD_ARGUMENT, "the model has no mesh: set mesh in its definition");
     status = sfem_mesh_check(def->mesh, NULL, err);
     if (status != SFEM_OK) return status;
     if (count < 1) return sfemi_fail(err, SFEM_BAD_ARGUMENT, "material_count is %d", (int)count);
@@ -15372,8 +18135,7 @@ static sfem_status sfemi_fem_check(const sfem_model_def *def, sfem_error *err)
     for (i = 0; i < def->mesh->tets; ++i) {
         const sfem_int m = sfemi_fem_material_of(def, i);
         if (m < 0 || m >= count)
-            return sfemi_fail_at(err, SFEM_BAD_ARGUMENT, -1, i,
-                                 "tet %d has material %d, there are %d", (int)i, (int)m, (int)count);
+            return sfemi_fem_missing_material(def, i, m, err);
     }
     return SFEM_OK;
 }
@@ -15780,7 +18542,7 @@ SFEM_DEF sfem_status sfem_model_create(const sfem_model_def *def, sfem_model **o
     sfem_model *model = NULL;
     sfem_status status;
     sfem_int i;
-    SFEM_ASSERT(def && out && def->mesh);
+    SFEM_ASSERT(def && out);
     materials = def->materials ? def->materials : &def->material;
     SFEMI_TRY(sfemi_fem_check(def, err));
     SFEMI_NEW_OWNER(sfem_model, model, &def->allocator);
@@ -15857,6 +18619,80 @@ SFEM_DEF sfem_smooth_info sfem_model_smooth_info(const sfem_model *model)
     info.least = model->smooth->a;
     info.bytes = model->smooth->bytes;
     return info;
+}
+
+/* ---- units: what is seldom meant. The softest gels have some 10 Pa and rubber foam 5 to 50 kg/m^3, the stiffest and
+ * densest stuff is diamond (1.2e12 Pa) and osmium (22 600 kg/m^3). ---- */
+
+typedef struct sfemi_advice {
+    char *text;
+    size_t size, used;
+    int count;
+} sfemi_advice;
+
+static void sfemi_advice_add(sfemi_advice *a, const char *format, ...)
+{
+    char line[240];
+    size_t length;
+    va_list list;
+    va_start(list, format);
+    vsnprintf(line, sizeof line, format, list);
+    va_end(list);
+    length = strlen(line);
+    if (a->text && a->used + length + (a->count > 0) < a->size) {
+        if (a->count > 0) a->text[a->used++] = '\n';
+        memcpy(a->text + a->used, line, length + 1);
+        a->used += length;
+    }
+    ++a->count;
+}
+
+/* Of density, modulus and Poisson's ratio: the least and the most of all tets. */
+static void sfemi_advice_materials(const sfem_model *m, sfem_real across, sfemi_advice *a)
+{
+    sfem_real density[2] = {1e300, 0}, young[2] = {1e300, 0}, poisson = -1, soft = 0;
+    sfem_int e;
+    for (e = 0; e < m->mesh.tets; ++e) {
+        const sfem_real l = m->lambda[e], mu = m->mu[e], nu = l / (2 * (l + mu)), modulus = 2 * mu * (1 + nu);
+        density[0] = fmin(density[0], m->density[e]);
+        density[1] = fmax(density[1], m->density[e]);
+        young[0] = fmin(young[0], modulus);
+        young[1] = fmax(young[1], modulus);
+        poisson = fmax(poisson, nu);
+        soft = fmax(soft, m->density[e] / modulus);
+    }
+    if (density[0] < 5) sfemi_advice_add(a, "a density is %.4g kg/m^3, water has 1000: in g/cm^3?", density[0]);
+    if (density[1] > 25000) sfemi_advice_add(a, "a density is %.4g kg/m^3, water has 1000: more than any material has", density[1]);
+    if (young[0] < 10) sfemi_advice_add(a, "a modulus is %.4g Pa, jelly has 1e4, rubber 1e6: in MPa or GPa?", young[0]);
+    if (young[1] > 2e12) sfemi_advice_add(a, "a modulus is %.4g Pa, steel has 2e11: more than diamond has", young[1]);
+    if (soft * 9.81 * across > 1)
+        sfemi_advice_add(a, "a body of %.4g m with this density and modulus sinks into itself: its own weight is %.2g times the modulus",
+                         across, soft * 9.81 * across);
+    if (poisson > 0.49)
+        sfemi_advice_add(a, "a Poisson ratio is %.4g: linear tets are far too stiff above 0.49", poisson);
+}
+
+SFEM_DEF int sfem_model_advice(const sfem_model *model, sfem_real h, char *text, size_t size)
+{
+    sfem_real low[3] = {1e300, 1e300, 1e300}, high[3] = {-1e300, -1e300, -1e300}, across = 0;
+    sfemi_advice a = {0, 0, 0, 0};
+    sfem_int i;
+    int c;
+    SFEM_ASSERT(model);
+    a.text = size > 0 ? text : NULL;
+    a.size = size;
+    if (a.text) a.text[0] = 0;
+    for (i = 0; i < model->mesh.nodes; ++i)
+        for (c = 0; model->node_mass[i] > 0 && c < 3; ++c) {
+            low[c] = fmin(low[c], model->mesh.x[3 * (size_t)i + (size_t)c]);
+            high[c] = fmax(high[c], model->mesh.x[3 * (size_t)i + (size_t)c]);
+        }
+    for (c = 0; c < 3; ++c) across = fmax(across, high[c] - low[c]);
+    if (across > 100) sfemi_advice_add(&a, "the body is %.4g m across: in mm or cm?", across);
+    if (across < 1e-3) sfemi_advice_add(&a, "the body is %.4g m across: in km?", across);
+    sfemi_advice_materials(model, across, &a);
+    if (h > 0.1) sfemi_advice_add(&a, "the step is %.4g s: in ms? 1/60 s is usual", h);
+    return a.count;
 }
 
 /* block = k K + m M + d D at place `at` of the pattern, (i, j) its row and column. D is resolved into
@@ -16229,7 +19065,7 @@ static sfem_real sfemi_fem_forces(const sfem_model *model, const sfemi_block *bl
     job.inverted = job.energy + chunks;
     job.moved = job.inverted + chunks;
     job.apart = sfemi_threads(ask->exec) > 1 ? 4 * (size_t)model->chunks.most : 0;
-    job.kernel = sfemi_blocks_pick(ask->precision);
+    job.kernel = sfemi_blocks_path[sfemi_path()][ask->precision == SFEM_MIXED];
     sfemi_run(ask->exec, sfemi_forces_tasks(&model->chunks), sfemi_forces_chunks, &job);
     sfemi_run(ask->exec, (nodes - 1) / SFEMI_NODE_TASK + 1, sfemi_forces_nodes, &job);
     for (k = 0; k < chunks; ++k) {
@@ -16325,7 +19161,7 @@ static void sfemi_fem_tangent(const sfem_model *model, const sfemi_block *block,
     job.u = u;
     job.kind = kind;
     job.val = tangent->val;
-    job.kernel = sfemi_pairs_pick();
+    job.kernel = sfemi_pairs_path[sfemi_path()];
     memset(job.val, 0, 9 * (size_t)model->row[model->mesh.nodes] * sizeof *job.val);
     for (n = 0; n < c->colors; ++n) {
         job.chunk = c->color_chunk + c->color_start[n];
@@ -16520,6 +19356,8 @@ SFEM_DEF void sfem_add_pressure(const sfem_mesh *mesh, const sfem_real *x, sfem_
     }
 }
 
+#endif /* SFEM_NO_MODEL */
+
 #ifndef SFEM_NO_BODY
 /* ============================================================================================
  * >>damage   edge form of the tet, damage laws, criterion, pieces
@@ -16541,6 +19379,7 @@ SFEM_DEF void sfem_add_pressure(const sfem_mesh *mesh, const sfem_real *x, sfem_
  * and only its rounding would be left. A linear body subtracts: K u rounds by as much in any case.
  */
 
+#ifndef SFEM_NO_DAMAGE
 static const int sfemi_damage_place[6] = {1, 3, 6, 4, 7, 8}; /* of edges among the blocks a >= b */
 
 static void sfemi_damage_shape(const sfem_real x[12], sfem_real lambda, sfem_real mu,
@@ -16601,30 +19440,6 @@ SFEM_DEF void sfem_damage_prepare(const sfem_real x[12], sfem_real lambda, sfem_
         out->t_inverse[30 + k] = p * (a[0] * b[2] + a[2] * b[0]);
         for (l = 0; l < 6; ++l) out->s[6 * k + l] = sfemi_damage_entry(out, k, l);
     }
-}
-
-SFEM_DEF void sfem_damage_operators(const sfem_damage_tet *tet, sfem_real *a1, sfem_real *a2,
-                                    sfem_real *b)
-{
-    sfem_real dl[72], de[36];
-    int k, i, r, c;
-    SFEM_ASSERT(tet);
-    memset(dl, 0, sizeof dl);
-    for (k = 0; k < 6; ++k) {
-        const int *end = sfemi_edge_ends(3, k);
-        for (i = 0; i < 3; ++i) {
-            dl[6 * (3 * end[0] + i) + k] = tet->n[k][i];
-            dl[6 * (3 * end[1] + i) + k] = -tet->n[k][i];
-        }
-        for (i = 0; i < 6; ++i) de[6 * k + i] = tet->t_inverse[6 * i + k] / tet->length[k];
-    }
-    if (a1) memcpy(a1, dl, sizeof dl);
-    if (a2) memcpy(a2, de, sizeof de);
-    if (!b) return;
-    for (r = 0; r < 6; ++r)
-        for (c = 0; c < 12; ++c)
-            for (k = 0, b[12 * r + c] = 0; k < 6; ++k)
-                b[12 * r + c] += de[6 * k + r] * dl[6 * c + k];
 }
 
 /* W [6][6], S^-1 = W W^T: n n^T in an orthonormal basis of the deviators, and its trace. */
@@ -16858,7 +19673,7 @@ SFEM_DEF sfem_real sfem_damage_stiffening(const sfem_damage_tet *tet, sfem_damag
 enum { SFEMI_NEVER = 1, SFEMI_BLADE_ONLY = 2 };
 
 typedef struct sfemi_bonds {
-    sfem_allocator allocator;
+    sfemi_pool pool;         /* all of it */
     const sfem_model *model; /* kept alive by the body */
     sfem_damage_def def;     /* its arrays are NULL: they are in what follows */
     sfem_int edges, degree;  /* degree: most tets round an edge */
@@ -16881,17 +19696,19 @@ typedef struct sfemi_bonds {
  *
  * zeta, peak, mark and account are the state: sfemi_damage_attach says where they are. The rest is
  * derived: sfemi_damage_refresh makes it anew. */
+enum { SFEMI_PATIENCE = 16 }; /* rounds that a marked edge waits for a break that makes no energy */
 enum { SFEMI_RELEASED, SFEMI_PRICE, SFEMI_BROKEN, SFEMI_DELAYED, SFEMI_ACCOUNTS };
 enum { SFEMI_INTACT, SFEMI_DAMAGED, SFEMI_DISCONNECTED }; /* loose: intact edges do not connect its nodes */
 
 typedef struct sfemi_damage {
-    sfem_allocator allocator;
+    sfemi_pool pool;         /* all of it, but for the state */
     const sfemi_bonds *bonds;
     sfem_real *account;      /* [SFEMI_ACCOUNTS] J, J, edges, breaks put off */
     sfem_real *zeta;         /* [edges] */
     sfem_real *peak;         /* [edges] largest strain so far; NULL unless ductile */
     unsigned char *mark;     /* [edges] a blade has crossed it: 1 + rounds waited */
     /* derived */
+    unsigned char *held;     /* [edges] 1: of a tet with a node that a handle holds, if these are protected */
     sfem_int tets, *tet;     /* [tets] the damaged ones, ascending */
     unsigned char *kind;     /* [model tets] SFEMI_INTACT .. */
     sfem_real *s;            /* [model tets][6][6] S_d of damaged tets */
@@ -16925,27 +19742,13 @@ SFEM_DEF sfem_damage_def sfem_default_damage_def(void)
     memset(&d, 0, sizeof d);
     d.cookie = SFEMI_COOKIE_DAMAGE;
     d.toughness = 100;
+    d.protect_handles = 1;
     return d;
 }
 
 static void sfemi_bonds_free(sfemi_bonds *g) /* NULL allowed */
 {
-    sfem_allocator al;
-    if (!g) return;
-    al = g->allocator;
-    sfemi_delete(&al, g->end);
-    sfemi_delete(&al, g->length);
-    sfemi_delete(&al, g->tet_edge);
-    sfemi_delete(&al, g->tet_start);
-    sfemi_delete(&al, g->edge_tet);
-    sfemi_delete(&al, g->node_start);
-    sfemi_delete(&al, g->node_edge);
-    sfemi_delete(&al, g->area);
-    sfemi_delete(&al, g->price);
-    sfemi_delete(&al, g->factor);
-    sfemi_delete(&al, g->threshold);
-    sfemi_delete(&al, g->never);
-    sfemi_delete(&al, g);
+    if (g) sfemi_pool_free(&g->pool);
 }
 
 static int sfemi_damage_positive(sfem_real x) { return sfemi_finite(x) && x > 0; }
@@ -17008,22 +19811,21 @@ static sfem_status sfemi_damage_check(const sfem_model *model, const sfem_damage
 
 static sfem_status sfemi_bonds_allocate(sfemi_bonds *g, sfem_error *err)
 {
-    const sfem_allocator *al = &g->allocator;
     const size_t tets = (size_t)g->model->mesh.tets, nodes = (size_t)g->model->mesh.nodes;
     const size_t edges = (size_t)g->edges;
     sfem_status status = SFEM_OK;
-    SFEMI_NEW(sfem_int, g->end, al, 2 * edges);
-    SFEMI_NEW(sfem_real, g->length, al, edges);
-    SFEMI_NEW(sfem_int, g->tet_edge, al, 6 * tets);
-    SFEMI_NEW(sfem_int, g->tet_start, al, edges + 1);
-    SFEMI_NEW(sfem_int, g->edge_tet, al, 6 * tets);
-    SFEMI_NEW(sfem_int, g->node_start, al, nodes + 1);
-    SFEMI_NEW(sfem_int, g->node_edge, al, 2 * edges);
-    SFEMI_NEW(sfem_real, g->area, al, edges);
-    SFEMI_NEW(sfem_real, g->price, al, edges);
-    SFEMI_NEW(sfem_real, g->factor, al, edges);
-    SFEMI_NEW(sfem_real, g->threshold, al, tets);
-    SFEMI_NEW(unsigned char, g->never, al, edges);
+    SFEMI_TAKE(sfem_int, g->end, &g->pool, 2 * edges);
+    SFEMI_TAKE(sfem_real, g->length, &g->pool, edges);
+    SFEMI_TAKE(sfem_int, g->tet_edge, &g->pool, 6 * tets);
+    SFEMI_TAKE(sfem_int, g->tet_start, &g->pool, edges + 1);
+    SFEMI_TAKE(sfem_int, g->edge_tet, &g->pool, 6 * tets);
+    SFEMI_TAKE(sfem_int, g->node_start, &g->pool, nodes + 1);
+    SFEMI_TAKE(sfem_int, g->node_edge, &g->pool, 2 * edges);
+    SFEMI_TAKE(sfem_real, g->area, &g->pool, edges);
+    SFEMI_TAKE(sfem_real, g->price, &g->pool, edges);
+    SFEMI_TAKE(sfem_real, g->factor, &g->pool, edges);
+    SFEMI_TAKE(sfem_real, g->threshold, &g->pool, tets);
+    SFEMI_TAKE(unsigned char, g->never, &g->pool, edges);
 done:
     return status;
 }
@@ -17245,8 +20047,7 @@ static sfem_status sfemi_bonds_create(const sfem_model *model,
     SFEM_ASSERT(model && def && allocator && out);
     SFEM_ASSERT((def->line || !def->line_count) && (def->region_factor || !def->region_count));
     SFEMI_TRY(sfemi_damage_check(model, def, err));
-    SFEMI_NEW(sfemi_bonds, g, allocator, 1);
-    g->allocator = *allocator;
+    SFEMI_NEW_OWNER(sfemi_bonds, g, allocator);
     g->model = model;
     g->def = *def;
     g->def.tet_factor = g->def.region_factor = NULL;
@@ -17277,6 +20078,25 @@ static size_t sfemi_damage_state_bytes(const sfemi_bonds *g)
     return reals * sizeof(sfem_real) + (edges + 7) / 8 * 8;
 }
 
+/* Can this be the damage of a body? */
+static int sfemi_damage_check_state(const sfemi_bonds *g, const char *at)
+{
+    const size_t edges = (size_t)g->edges;
+    sfem_real account[SFEMI_ACCOUNTS], zeta;
+    size_t k;
+    memcpy(account, at, sizeof account);
+    if (!(account[SFEMI_BROKEN] >= 0 && account[SFEMI_BROKEN] <= g->edges)) return 0;
+    at += sizeof account;
+    for (k = 0; k < edges; ++k) {
+        memcpy(&zeta, at + k * sizeof zeta, sizeof zeta);
+        if (!(zeta >= 0 && zeta <= 1)) return 0;
+    }
+    at += (g->def.criterion == SFEM_BREAK_DUCTILE ? 2 : 1) * edges * sizeof zeta;
+    for (k = 0; k < edges; ++k)
+        if ((unsigned char)at[k] > SFEMI_PATIENCE) return 0;
+    return 1;
+}
+
 /* The state lives in memory, aligned to 8, from now on; follow with reset or refresh. */
 static void sfemi_damage_attach(sfemi_damage *d, void *memory)
 {
@@ -17289,33 +20109,7 @@ static void sfemi_damage_attach(sfemi_damage *d, void *memory)
 
 static void sfemi_damage_free(sfemi_damage *d) /* NULL allowed */
 {
-    sfem_allocator al;
-    if (!d) return;
-    al = d->allocator;
-    sfemi_delete(&al, d->tet);
-    sfemi_delete(&al, d->kind);
-    sfemi_delete(&al, d->s);
-    sfemi_delete(&al, d->block);
-    sfemi_delete(&al, d->lane);
-    sfemi_delete(&al, d->piece_of);
-    sfemi_delete(&al, d->event);
-    sfemi_delete(&al, d->event_edge);
-    sfemi_delete(&al, d->force);
-    sfemi_delete(&al, d->rotation);
-    sfemi_delete(&al, d->energy);
-    sfemi_delete(&al, d->strain);
-    sfemi_delete(&al, d->stress);
-    sfemi_delete(&al, d->weight);
-    sfemi_delete(&al, d->ratio);
-    sfemi_delete(&al, d->most);
-    sfemi_delete(&al, d->candidate);
-    sfemi_delete(&al, d->near_candidate);
-    sfemi_delete(&al, d->local);
-    sfemi_delete(&al, d->fresh);
-    sfemi_delete(&al, d->merge);
-    sfemi_delete(&al, d->stamp);
-    sfemi_delete(&al, d->queue);
-    sfemi_delete(&al, d);
+    if (d) sfemi_pool_free(&d->pool);
 }
 
 /* All memory that damage needs but its state, about 800 bytes a tet; nothing else here allocates.
@@ -17329,34 +20123,34 @@ static sfem_status sfemi_damage_create(const sfemi_bonds *bonds,
     const size_t edges = (size_t)bonds->edges;
     sfemi_damage *d = NULL;
     sfem_status status = SFEM_OK;
-    SFEMI_NEW(sfemi_damage, d, allocator, 1);
-    d->allocator = *allocator;
+    SFEMI_NEW_OWNER(sfemi_damage, d, allocator);
     d->bonds = bonds;
-    SFEMI_NEW(sfem_int, d->tet, allocator, tets);
-    SFEMI_NEW(unsigned char, d->kind, allocator, tets);
-    SFEMI_NEW(sfem_real, d->s, allocator, 36 * tets);
+    SFEMI_TAKE(sfem_int, d->tet, &d->pool, tets);
+    SFEMI_TAKE(unsigned char, d->kind, &d->pool, tets);
+    SFEMI_TAKE(unsigned char, d->held, &d->pool, edges);
+    SFEMI_TAKE(sfem_real, d->s, &d->pool, 36 * tets);
     if (model->rotates) {
-        SFEMI_NEW(sfemi_block, d->block, allocator, model->chunks.block_start[model->chunks.count]);
-        SFEMI_NEW(sfem_int, d->lane, allocator, tets);
-        SFEMI_NEW(sfem_real, d->rotation, allocator, 9 * tets);
+        SFEMI_TAKE(sfemi_block, d->block, &d->pool, model->chunks.block_start[model->chunks.count]);
+        SFEMI_TAKE(sfem_int, d->lane, &d->pool, tets);
+        SFEMI_TAKE(sfem_real, d->rotation, &d->pool, 9 * tets);
     }
-    SFEMI_NEW(sfem_int, d->piece_of, allocator, nodes);
-    SFEMI_NEW(sfem_break, d->event, allocator, edges);
-    SFEMI_NEW(sfem_int, d->event_edge, allocator, edges);
-    SFEMI_NEW(sfem_real, d->force, allocator, 12 * tets);
-    SFEMI_NEW(sfem_real, d->energy, allocator, tets);
-    SFEMI_NEW(sfem_real, d->strain, allocator, edges);
-    SFEMI_NEW(sfem_real, d->stress, allocator, 6 * tets);
-    SFEMI_NEW(sfem_real, d->weight, allocator, 6 * tets);
-    SFEMI_NEW(sfem_real, d->ratio, allocator, edges);
-    SFEMI_NEW(sfem_real, d->most, allocator, nodes);
-    SFEMI_NEW(unsigned char, d->candidate, allocator, tets);
-    SFEMI_NEW(unsigned char, d->near_candidate, allocator, edges);
-    SFEMI_NEW(sfem_real, d->local, allocator, 60 * (size_t)bonds->degree);
-    SFEMI_NEW(sfem_int, d->fresh, allocator, tets);
-    SFEMI_NEW(sfem_int, d->merge, allocator, tets);
-    SFEMI_NEW(sfem_int, d->stamp, allocator, nodes);
-    SFEMI_NEW(sfem_int, d->queue, allocator, 2 * nodes);
+    SFEMI_TAKE(sfem_int, d->piece_of, &d->pool, nodes);
+    SFEMI_TAKE(sfem_break, d->event, &d->pool, edges);
+    SFEMI_TAKE(sfem_int, d->event_edge, &d->pool, edges);
+    SFEMI_TAKE(sfem_real, d->force, &d->pool, 12 * tets);
+    SFEMI_TAKE(sfem_real, d->energy, &d->pool, tets);
+    SFEMI_TAKE(sfem_real, d->strain, &d->pool, edges);
+    SFEMI_TAKE(sfem_real, d->stress, &d->pool, 6 * tets);
+    SFEMI_TAKE(sfem_real, d->weight, &d->pool, 6 * tets);
+    SFEMI_TAKE(sfem_real, d->ratio, &d->pool, edges);
+    SFEMI_TAKE(sfem_real, d->most, &d->pool, nodes);
+    SFEMI_TAKE(unsigned char, d->candidate, &d->pool, tets);
+    SFEMI_TAKE(unsigned char, d->near_candidate, &d->pool, edges);
+    SFEMI_TAKE(sfem_real, d->local, &d->pool, 60 * (size_t)bonds->degree);
+    SFEMI_TAKE(sfem_int, d->fresh, &d->pool, tets);
+    SFEMI_TAKE(sfem_int, d->merge, &d->pool, tets);
+    SFEMI_TAKE(sfem_int, d->stamp, &d->pool, nodes);
+    SFEMI_TAKE(sfem_int, d->queue, &d->pool, 2 * nodes);
     *out = d;
     return SFEM_OK;
 done:
@@ -17908,6 +20702,28 @@ static void sfemi_damage_add_stiffness(const sfemi_damage *d, sfem_real scale, s
     }
 }
 
+/* y += (K_frac - K) z, small strain about rest. */
+static void sfemi_damage_multiply(const sfemi_damage *d, const sfem_real *z, sfem_real *y)
+{
+    const sfem_model *model = d->bonds->model;
+    sfem_int k;
+    int a, c;
+    for (k = 0; k < d->tets; ++k) {
+        const sfem_int e = d->tet[k], *t = model->mesh.tet + 4 * (size_t)e;
+        sfem_real x[12], u[12], f[12];
+        sfem_damage_tet tet;
+        for (a = 0; a < 4; ++a) {
+            memcpy(x + 3 * a, model->mesh.x + 3 * (size_t)t[a], 3 * sizeof *x);
+            memcpy(u + 3 * a, z + 3 * (size_t)t[a], 3 * sizeof *u);
+        }
+        sfem_damage_prepare(x, model->lambda[e], model->mu[e], &tet);
+        for (a = 0; a < 36; ++a) tet.s[a] = d->s[36 * (size_t)e + (size_t)a] - tet.s[a];
+        (void)sfem_damage_energy(&tet, tet.s, 1, u, SFEM_TANGENT_EXACT, f, NULL);
+        for (a = 0; a < 4; ++a)
+            for (c = 0; c < 3; ++c) y[3 * (size_t)t[a] + (size_t)c] += f[3 * a + c];
+    }
+}
+
 /* ---- criterion and propagation ---- */
 
 /* A step that ended, as the criterion sees it. Breaking changes the integrator's invariant by
@@ -18006,7 +20822,7 @@ static void sfemi_damage_near_task(void *data, sfem_int index)
     sfem_int end, k = sfemi_damage_range(index, g->edges, &end), i;
     for (; k < end; ++k) {
         d->near_candidate[k] = 0;
-        if (!(d->strain[k] > 0) || !(d->zeta[k] > 0) || g->never[k]) continue;
+        if (!(d->strain[k] > 0) || !(d->zeta[k] > 0) || g->never[k] || d->held[k]) continue;
         for (i = g->tet_start[k]; i < g->tet_start[k + 1] && !d->near_candidate[k]; ++i)
             d->near_candidate[k] = d->candidate[g->edge_tet[i] / 6];
     }
@@ -18272,7 +21088,6 @@ static void sfemi_damage_record(sfemi_damage *d, sfem_int k, sfem_break_reason r
 
 /* Rounds after which a blade forces an edge. Edges without stress of their own may wait for ever
  * where their tets' switch to the edge form costs a little. */
-enum { SFEMI_PATIENCE = 16 };
 
 /* Lowers zeta of edge k to `to` unless that made energy; then it has to wait. */
 static int sfemi_damage_try(sfemi_damage *d, sfem_int k, sfem_real to, sfem_break_reason reason,
@@ -18383,7 +21198,7 @@ static void sfemi_damage_soften(sfemi_damage *d, const sfemi_damage_step *step,
     const sfemi_bonds *g = d->bonds;
     sfem_int k;
     for (k = 0; k < g->edges; ++k) {
-        if (!(d->zeta[k] > 0) || g->never[k]) continue;
+        if (!(d->zeta[k] > 0) || g->never[k] || d->held[k]) continue;
         if (d->near_candidate[k] && d->strain[k] > d->peak[k] && sfemi_damage_rankine(d, k))
             d->peak[k] = d->strain[k];
         if (sfemi_damage_soft(d, k) < d->zeta[k])
@@ -18647,6 +21462,32 @@ static void sfemi_damage_pieces(const sfemi_damage *d, const sfem_real *u, const
         for (c = 0; c < 3; ++c) p->angular[c] += model->node_mass[i] * l[c];
     }
 }
+
+/* What bodies ask of their damage; NULL: they cannot break. */
+static sfem_int sfemi_damage_tets(const sfemi_damage *d) { return d ? d->tets : 0; }
+static sfem_int sfemi_damage_events(const sfemi_damage *d) { return d ? d->events : 0; }
+static sfem_real sfemi_damage_broken(const sfemi_damage *d) { return d ? d->account[SFEMI_BROKEN] : 0; }
+#else /* no body has any: the same for NULL, the rest is never called */
+typedef struct sfemi_bonds { int none; } sfemi_bonds;
+typedef struct sfemi_damage { int none; } sfemi_damage;
+static sfem_int sfemi_damage_tets(const sfemi_damage *d) { (void)d; return 0; }
+static sfem_int sfemi_damage_events(const sfemi_damage *d) { (void)d; return 0; }
+static sfem_real sfemi_damage_broken(const sfemi_damage *d) { (void)d; return 0; }
+static size_t sfemi_damage_state_bytes(const sfemi_bonds *g) { (void)g; return 0; }
+static int sfemi_damage_check_state(const sfemi_bonds *g, const char *at) { (void)g, (void)at; return 0; }
+static void sfemi_damage_multiply(const sfemi_damage *d, const sfem_real *z, sfem_real *y) { (void)d, (void)z, (void)y; }
+static void sfemi_damage_add_stiffness(const sfemi_damage *d, sfem_real scale, sfem_real *val)
+{
+    (void)d, (void)scale, (void)val;
+}
+static sfem_real sfemi_damage_forces(sfemi_damage *d, const sfemi_forces *ask) { (void)d, (void)ask; return 0; }
+static sfem_real sfemi_damage_total_forces(sfemi_damage *d, const sfemi_forces *ask) { (void)d, (void)ask; return 0; }
+static void sfemi_damage_total_tangent(const sfemi_damage *d, const sfem_real *u, sfem_tangent kind,
+                                       sfem_matrix *tangent, const sfem_exec *exec)
+{
+    (void)d, (void)u, (void)kind, (void)tangent, (void)exec;
+}
+#endif /* SFEM_NO_DAMAGE */
 
 /* ============================================================================================
  * >>factor   the shared factor of a body's system matrix
@@ -19013,10 +21854,16 @@ typedef struct sfemi_target {
 
 typedef struct sfemi_handle {
     sfemi_target path;
-    sfem_int used, node[4];
-    sfem_real weight[4];
+    sfem_int used, first, count; /* its nodes and weights: where in the state's lists they begin, how many */
     sfem_real force[3]; /* N, on the body, over the last step */
 } sfemi_handle;
+
+/* The nodes whose weighted mean a handle holds. */
+typedef struct sfemi_region {
+    sfem_int count;
+    const sfem_int *node;     /* [count] */
+    const sfem_real *weight;  /* [count] */
+} sfemi_region;
 
 typedef struct sfemi_state_head {
     sfemi_saved_head saved;
@@ -19028,6 +21875,8 @@ typedef struct sfemi_state_head {
     sfem_int current;   /* f, psi and frame belong to u */
     sfem_int rebase;    /* SFEMI_REBASE where what counts as free has changed: a new energy budget; _NEW_: and scale */
     sfem_int sleep;     /* SFEMI_AWAKE, SFEMI_CALM (since calm seconds), SFEMI_ASLEEP */
+    sfem_int step_forces;   /* step_force is not zero */
+    sfem_int unused;
     int64_t steps, rejected;
     sfem_real lag; /* >>alpha: how much later than the start of the last step its acceleration is */
     sfem_real psi, budget, scale, last; /* >>safeguard: the energy at u, the energy budget, Ec of the last step, */
@@ -19062,11 +21911,14 @@ typedef struct sfemi_state {
     sfemi_state_head *head;
     sfem_real *u, *w, *a;  /* [nodes][3] */
     sfem_real *force[3];   /* [nodes][3] at the end of the next step, at its start, one step before */
+    sfem_real *step_force; /* [nodes][3] during the next step alone */
     sfem_real *f, *f_past, *f_past2; /* [nodes][3] the internal force at u, one and two steps before; */
     sfem_real *frame;      /* [nodes][3][3] Q: these only where the body rotates */
     float *pair;           /* [SFEMI_MEMORY][2][nodes][3] of L-BFGS, rotated back: only where it corrects */
     sfem_real *before;     /* [nodes][3] w where the calm began: only where the body may sleep */
     sfemi_handle *handle;  /* [max_handles] */
+    sfem_int *region_node;    /* these two [capacity]: those of all handles, one after another without a gap */
+    sfem_real *region_weight;
     sfemi_energy_balance *balance;    /* these two only where the body may break */
     uint64_t *damage;      /* [] >>damage's own state */
     sfemi_target *pin;       /* [pin_count] last: what stands before it stays where pins change */
@@ -19082,25 +21934,37 @@ enum { SFEMI_MEMORY = 6 };
 typedef struct sfemi_state_shape {
     const sfem_model *model;
     const sfemi_bonds *bonds; /* NULL: the body cannot break */
-    sfem_int nodes, handles, pins;
+    sfem_int nodes, handles, regions, pins;
     sfem_int rotating, correcting, sleeping; /* nodes, or 0 where the body does no such thing */
     sfem_int breaking, damage; /* 1 or 0; 8 bytes of >>damage's own state each */
 } sfemi_state_shape;
 
 /* >>handle: the handles' columns and their dense block. */
 typedef struct sfemi_schur {
-    sfem_int count;   /* handles in use */
+    sfem_int count;   /* handles in use that are constraints, */
+    sfem_int springs; /* or that yield: one of the two is 0 */
     sfem_int *slot;   /* [max] their numbers */
-    sfem_real **y;    /* [max] columns by number, [3][nodes][3] each, or NULL; where the body rotates, so many
-                       * for each of the handle's nodes */
-    sfem_int *parts;  /* [max] for how many nodes there is room in y */
+    sfem_real **y;    /* [max] columns by number, [3][nodes][3] each, or NULL */
     sfem_int *ready;  /* [max] the columns belong to the body's factor and this handle */
-    sfem_real *s;     /* [3 max][3 max] L D L^T of H A^-1 H^T, lower; 0 pivots are rows left out */
+    sfem_real *s;     /* [3 max][3 max] L D L^T of H A^-1 H^T, lower; 0 pivots are rows left out. Of springs itself, and
+                       * */
+    sfem_real *yield; /* [3 max][3 max] L D L^T of it plus their compliance, */
+    sfem_real shift;  /* which is this for all in what is there; -1: nothing is */
+    sfem_real *pull;  /* [3 max] the right side of a solution within limits, */
+    sfem_real *shifts; /* [max] each spring's compliance where they differ */
     sfem_real *wm;    /* [3][max][max] the same of H M^-1 H^T, an axis at a time */
     sfem_real *lambda; /* [3 max] */
     sfem_real *place;  /* [3 max] where the handles are before a step */
+    sfem_real *spread; /* [nodes] 0 but while one region's weights, or marks, are looked up by node */
+    sfem_int *group;   /* [max] handles that share nodes, by the lowest number of them: they share a frame */
     int dirty;        /* the set of handles or the factor changed */
 } sfemi_schur;
+
+/* >>handle: what a handle that yields is made of. */
+typedef struct sfemi_spring {
+    sfem_real c, tau; /* m/N, s: t - x = c l - tau x' would be it; */
+    sfem_real most;   /* N, at most; 0: no limit */
+} sfemi_spring;
 
 /* >>rotated: one connected piece, at the positions of the last sfemi_rotated_locate. */
 typedef struct sfemi_piece {
@@ -19177,7 +22041,8 @@ typedef struct sfemi_safeguard {
 typedef struct sfemi_stage {
     sfem_real m1, m0, w1, w0, c1, c2; /* see there */
     sfem_real vv, va, vd, av, aa, ad, am; /* V = vv v + va a + vd d_mid, A = av v + .. + am v_mid */
-    sfem_real end; /* where in the step it ends, in h */
+    sfem_real end, span; /* where in the step it ends, and how long it is, in h; a static solution has span 0 */
+    sfem_real hand; /* handles that yield act by so much of their force */
 } sfemi_stage;
 
 typedef struct sfemi_implicit {
@@ -19190,7 +22055,7 @@ typedef struct sfemi_implicit {
     int tangent_ready;   /* tangent, of the kind asked for, belongs to the last evaluation */
     int still;           /* statics: no inertia, no damping */
     sfem_real share;     /* statics: of the load */
-    sfem_real energy;    /* Psi at the last evaluation */
+    sfem_real energy, yield; /* Psi at the last evaluation, and the potential of handles that yield */
     int ready;           /* there is room for what follows, [nodes][3] each in the workspace, and for tangent, drag */
     sfem_real *d, *best, *goal, *vmap, *amap, *a0, *load, *f, *q, *x, *v, *step, *mid_d, *mid_v, *mid_a;
     sfem_real *work;     /* of sfem_model_forces */
@@ -19286,6 +22151,7 @@ typedef struct sfemi_step {
     int falls;         /* >>resume: velocity is to be taken from the right side */
     int fresh;         /* >>resume: it starts from `velocity`, the state being that of a running body; else from w */
     int starts_from_mass; /* >>resume: it starts from m = r M w, not from A w */
+    int jumps;         /* it starts from the state's acceleration and `jump`; KR-alpha from its velocity and h jump */
 } sfemi_step;
 
 /* Between which of predict, solve and finish a step is. */
@@ -19295,6 +22161,7 @@ enum { SFEMI_IDLE, SFEMI_PREDICTED, SFEMI_SOLVED };
 struct sfem_body {
     /* create */
     sfem_allocator allocator;
+    sfemi_pool pool;       /* the body itself, and what is allocated with it for good */
     sfem_exec exec;
     sfem_model *model;
     sfem_body_def def;     /* without its pins and its damage */
@@ -19319,6 +22186,7 @@ struct sfem_body {
     sfem_int factors_made;
     sfem_factor *static_factor; /* of K alone, once a static solution was asked for */
     sfemi_schur schur;       /* >>handle */
+    sfemi_spring spring;     /* >>handle: constant; all 0 where handles are constraints */
 
     /* predict, solve, finish: the step under way */
     int phase;             /* SFEMI_IDLE, SFEMI_PREDICTED, SFEMI_SOLVED */
@@ -19332,6 +22200,7 @@ struct sfem_body {
     int is_late;
     sfem_real *kick;       /* [nodes][3] N s, the impulses among it, if kicked */
     int kicked;
+    sfem_real *jump;       /* [nodes][3] M^-1 F1, the forces of this step alone, if step.jumps */
     sfem_real *base;       /* >>alpha: [nodes][3] the velocity that a step adds its acceleration to; else NULL */
     sfem_real *velocity;   /* >>resume: [nodes][3] what a step starts from, if step.fresh; is to lose, if step.falls */
     sfemi_rotated rotated;       /* >>rotated */
@@ -19375,7 +22244,7 @@ static int sfemi_state_check_head(const void *shape, const char *at, size_t coun
            h.rebase >= SFEMI_LEDGER && h.rebase <= SFEMI_NEW_LEDGER && h.sleep >= SFEMI_AWAKE &&
            h.sleep <= (sleeps ? SFEMI_ASLEEP : SFEMI_AWAKE) && sfemi_finite(h.lag) && sfemi_finite(h.gamma) &&
            h.estimate >= 0 && h.rate >= 0 && h.rate <= 1 && sfemi_finite(h.pair_h) && sfemi_finite(h.calm) &&
-           h.calm >= 0 && sfemi_state_check_counts(&h);
+           h.calm >= 0 && h.step_forces >= 0 && h.step_forces <= 1 && sfemi_state_check_counts(&h);
 }
 
 static int sfemi_state_check_targets(const void *shape, const char *at, size_t count)
@@ -19391,44 +22260,38 @@ static int sfemi_state_check_targets(const void *shape, const char *at, size_t c
     return 1;
 }
 
-/* A handle holds nothing that is in no tet, and its weights add up to 1: not all of them are 0. */
+/* The regions of handles in use do not overlap and leave no gap. */
 static int sfemi_state_check_handles(const void *shape, const char *at, size_t count)
 {
-    const sfem_model *model = ((const sfemi_state_shape *)shape)->model;
-    size_t i;
-    int c;
+    const sfem_int most = ((const sfemi_state_shape *)shape)->regions;
+    sfem_int places = 0, top = 0;
+    size_t i, j;
     for (i = 0; i < count; ++i) {
         sfemi_handle h;
         memcpy(&h, at + i * sizeof h, sizeof h);
         if (h.used == 0) continue;
         if (h.used != 1 || !sfemi_state_check_targets(shape, (const char *)&h.path, 1) ||
-            !sfemi_all_finite(h.weight, 4) ||
-            !(fabs(h.weight[0] + h.weight[1] + h.weight[2] + h.weight[3] - 1) <= 1e-6))
+            h.count < 1 || h.first < 0 || h.count > most - places || h.first > most - h.count)
             return 0;
-        for (c = 0; c < 4; ++c)
-            if (h.node[c] < 0 || h.node[c] >= model->mesh.nodes || model->node_mass[h.node[c]] == 0) return 0;
+        places += h.count;
+        top = h.first + h.count > top ? h.first + h.count : top;
+        for (j = 0; j < i; ++j) {
+            sfemi_handle o;
+            memcpy(&o, at + j * sizeof o, sizeof o);
+            if (o.used && h.first < o.first + o.count && o.first < h.first + h.count) return 0;
+        }
     }
-    return 1;
+    return top == places;
+}
+
+static int sfemi_state_check_region_nodes(const void *shape, const char *at, size_t count)
+{
+    return sfemi_saved_below(((const sfemi_state_shape *)shape)->nodes, at, count);
 }
 
 static int sfemi_state_check_damage(const void *shape, const char *at, size_t count)
 {
-    const sfemi_bonds *g = ((const sfemi_state_shape *)shape)->bonds;
-    const size_t edges = g ? (size_t)g->edges : 0;
-    sfem_real account[SFEMI_ACCOUNTS], zeta;
-    size_t k;
-    if (!count) return 1;
-    memcpy(account, at, sizeof account);
-    if (!(account[SFEMI_BROKEN] >= 0 && account[SFEMI_BROKEN] <= g->edges)) return 0;
-    at += sizeof account;
-    for (k = 0; k < edges; ++k) {
-        memcpy(&zeta, at + k * sizeof zeta, sizeof zeta);
-        if (!(zeta >= 0 && zeta <= 1)) return 0;
-    }
-    at += (g->def.criterion == SFEM_BREAK_DUCTILE ? 2 : 1) * edges * sizeof zeta;
-    for (k = 0; k < edges; ++k)
-        if ((unsigned char)at[k] > SFEMI_PATIENCE) return 0;
-    return 1;
+    return !count || sfemi_damage_check_state(((const sfemi_state_shape *)shape)->bonds, at);
 }
 
 #define SFEMI_ROW(field, each, rows, check, name)                                                     \
@@ -19444,6 +22307,7 @@ static const sfemi_saved_array sfemi_state_array[] = {
     SFEMI_LOAD(0),
     SFEMI_LOAD(1),
     SFEMI_LOAD(2),
+    SFEMI_ROW(step_force, 3, nodes, sfemi_saved_finite, "a load"),
     SFEMI_ROW(f, 3, rotating, NULL, NULL),
     SFEMI_ROW(f_past, 3, rotating, NULL, NULL),
     SFEMI_ROW(f_past2, 3, rotating, NULL, NULL),
@@ -19451,13 +22315,15 @@ static const sfemi_saved_array sfemi_state_array[] = {
     SFEMI_ROW(pair, 6 * SFEMI_MEMORY, correcting, NULL, NULL),
     SFEMI_ROW(before, 3, sleeping, sfemi_saved_finite, "a velocity where the calm began"),
     SFEMI_ROW(handle, 1, handles, sfemi_state_check_handles, "a handle"),
+    SFEMI_ROW(region_node, 1, regions, sfemi_state_check_region_nodes, "a node of a handle"),
+    SFEMI_ROW(region_weight, 1, regions, sfemi_saved_finite, "a weight of a handle"),
     SFEMI_ROW(balance, 1, breaking, NULL, NULL),
     SFEMI_ROW(damage, 1, damage, sfemi_state_check_damage, "the damage of an edge"),
     SFEMI_ROW(pin, 1, pins, sfemi_state_check_targets, "a pin")};
 #undef SFEMI_ROW
 #undef SFEMI_LOAD
 
-static const sfemi_saved_kind sfemi_state_kind = SFEMI_SAVED_KIND("sfemstat", "saved state", 5, sfemi_state_array);
+static const sfemi_saved_kind sfemi_state_kind = SFEMI_SAVED_KIND("sfemstat", "saved state", 6, sfemi_state_array);
 
 /* ============================================================================================
  * >>workspace   a step's temporaries, which bodies may share
@@ -19518,6 +22384,7 @@ static void sfemi_workspace_take_rotating(sfem_body *b, sfem_real *memory, size_
     for (k = 0; k < sizeof vector / sizeof *vector; ++k) sfemi_workspace_take(vector[k], n, memory, used);
 }
 
+#ifndef SFEM_NO_NEWTON
 /* What Newton's iteration has. */
 static void sfemi_workspace_take_newton(sfem_body *b, sfem_real *memory, size_t *used)
 {
@@ -19530,11 +22397,13 @@ static void sfemi_workspace_take_newton(sfem_body *b, sfem_real *memory, size_t 
         sfemi_workspace_take(vector[k], 3 * (size_t)b->model->mesh.nodes, memory, used);
     if (b->model->rotates) sfemi_workspace_take(&m->work, sfem_model_work_size(b->model), memory, used);
 }
+#endif
 
 /* Points the body's arrays into memory; NULL: leaves them. Returns how many reals there are. */
 static size_t sfemi_workspace_lay_out(sfem_body *b, sfem_real *memory)
 {
-    sfem_real **const vector[] = {&b->rhs, &b->acc, &b->zk, &b->zm, &b->predicted, &b->late, &b->kick};
+    sfem_real **const vector[] = {&b->rhs,       &b->acc,  &b->zk,   &b->zm,
+                                  &b->predicted, &b->late, &b->kick, &b->jump};
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     size_t used = 0, k;
     for (k = 0; k < sizeof vector / sizeof *vector; ++k) sfemi_workspace_take(vector[k], n, memory, &used);
@@ -19546,7 +22415,9 @@ static size_t sfemi_workspace_lay_out(sfem_body *b, sfem_real *memory)
         sfemi_workspace_take(&b->velocity, n, memory, &used);
     }
     if (b->scheme.rotates) sfemi_workspace_take_rotating(b, memory, &used);
+#ifndef SFEM_NO_NEWTON
     if (b->implicit.ready) sfemi_workspace_take_newton(b, memory, &used);
+#endif
     return used;
 }
 
@@ -19613,6 +22484,43 @@ done:
 }
 
 /* ============================================================================================
+ * >>system   a matrix that changes, and its factor: of Newton's iteration, of the energy safeguard
+ * ============================================================================================ */
+
+static void sfemi_system_close(const sfem_body *b, sfemi_system *s)
+{
+    sfem_matrix_free(&s->matrix);
+    sfemi_delete(&b->model->allocator, s->source);
+    memset(s, 0, sizeof *s);
+}
+
+/* A factor of its own and the matrix to refactor it from. The caller releases the factor. */
+static sfem_status sfemi_system_open(sfem_body *b, const sfemi_factor_key *key, sfemi_system *out,
+                                     sfem_error *err)
+{
+    const sfem_model *model = b->model;
+    const sfem_matrix *p;
+    sfemi_system s;
+    sfem_status status = SFEM_OK;
+    sfem_int k, at, count = 0;
+    memset(&s, 0, sizeof s);
+    SFEMI_TRY(sfemi_factor_make(b->model, key, &b->exec, &s.factor, err));
+    ++b->factors_made;
+    SFEMI_TRY(sfemi_factor_matrix(model, s.factor, &s.matrix, err));
+    p = key->exact ? sfemi_fem_exact(model) : &model->stiffness;
+    SFEMI_NEW(sfem_int, s.source, &model->allocator, (size_t)s.matrix.row[s.matrix.n] + 1);
+    for (k = 0; k < s.factor->free_nodes; ++k)
+        for (at = p->row[s.factor->node[k]]; at < p->row[s.factor->node[k] + 1]; ++at)
+            if (s.factor->mask[p->col[at]] != SFEM_AXIS_ALL) s.source[count++] = at;
+    *out = s;
+    return SFEM_OK;
+done:
+    sfemi_factor_release(b->model, s.factor);
+    sfemi_system_close(b, &s);
+    return status;
+}
+
+/* ============================================================================================
  * >>handle   pins and handles set, moved and released while the body runs
  *
  * 1. A constraint H a = c on a = A^-1 (b + H^T l) gives the multipliers l:
@@ -19621,78 +22529,140 @@ done:
  *    dense solve and one sum over the columns.
  * ============================================================================================ */
 
-/* (H x) of one handle: the weighted mean over its nodes. */
-static void sfemi_schur_mean(const sfemi_handle *h, const sfem_real *x, sfem_real out[3])
+static sfemi_region sfemi_region_of(const sfemi_state *s, sfem_int slot)
 {
-    int k, c;
+    const sfemi_handle *h = s->handle + slot;
+    sfemi_region r;
+    r.count = h->count;
+    r.node = s->region_node + h->first;
+    r.weight = s->region_weight + h->first;
+    return r;
+}
+
+/* (H x) of one handle: the weighted mean over its nodes. */
+static void sfemi_schur_mean(const sfemi_region *r, const sfem_real *x, sfem_real out[3])
+{
+    sfem_int k;
+    int c;
     for (c = 0; c < 3; ++c) {
         out[c] = 0;
-        for (k = 0; k < 4; ++k)
-            if (h->weight[k] != 0) out[c] += h->weight[k] * x[3 * (size_t)h->node[k] + (size_t)c];
+        for (k = 0; k < r->count; ++k)
+            if (r->weight[k] != 0) out[c] += r->weight[k] * x[3 * (size_t)r->node[k] + (size_t)c];
     }
 }
 
-/* Y = A^-1 H^T of one handle, or `apart` for each of its nodes alone, with weight one. */
-static void sfemi_schur_columns(const sfem_factor *f, const sfemi_handle *h, sfem_int nodes, int apart,
-                               sfem_real *y, sfem_real *work, const sfem_exec *exec)
+/* f += H^T l of one handle, on the axes that are not held. */
+static void sfemi_schur_spread(const sfemi_region *r, const sfem_real l[3], const unsigned char *mask, sfem_real *f)
+{
+    sfem_int k;
+    int c;
+    for (k = 0; k < r->count; ++k)
+        for (c = 0; c < 3; ++c)
+            if (r->weight[k] != 0 && !(mask[r->node[k]] >> c & 1))
+                f[3 * (size_t)r->node[k] + (size_t)c] += r->weight[k] * l[c];
+}
+
+/* Y = A^-1 H^T of one handle. */
+static void sfemi_schur_columns(const sfem_factor *f, const sfemi_region *r, sfem_int nodes, sfem_real *y,
+                                sfem_real *work, const sfem_exec *exec)
 {
     const size_t n = 3 * (size_t)nodes;
-    int first, k, c;
-    for (first = 0; first < (apart ? 4 : 1); ++first) {
-        if (h->weight[first] == 0 && apart) continue;
-        memset(y, 0, 3 * n * sizeof *y);
-        for (c = 0; c < 3; ++c)
-            for (k = first; k < (apart ? first + 1 : 4); ++k)
-                if (h->weight[k] != 0 && !(f->mask[h->node[k]] >> c & 1))
-                    y[(size_t)c * n + 3 * (size_t)h->node[k] + (size_t)c] += apart ? 1 : h->weight[k];
-        sfemi_factor_solve(f, nodes, 3, y, y, work, exec);
-        y += 3 * n;
-    }
+    sfem_int k;
+    int c;
+    memset(y, 0, 3 * n * sizeof *y);
+    for (c = 0; c < 3; ++c)
+        for (k = 0; k < r->count; ++k)
+            if (r->weight[k] != 0 && !(f->mask[r->node[k]] >> c & 1))
+                y[(size_t)c * n + 3 * (size_t)r->node[k] + (size_t)c] += r->weight[k];
+    sfemi_factor_solve(f, nodes, 3, y, y, work, exec);
 }
 
-/* Factors S = H Y, unless the body rotates, and W = H M^-1 H^T over the handles in g->slot. */
-static void sfemi_schur_gather(sfemi_schur *g, const sfemi_handle *handle, const sfem_model *model,
-                              int rotates, const unsigned char *mask)
+/* W = H M^-1 H^T over the handles in g->slot, an axis at a time, factored. */
+static void sfemi_schur_gather_mass(sfemi_schur *g, const sfemi_state *s, const sfem_model *model, const unsigned char *mask)
 {
-    const size_t n = 3 * (size_t)model->mesh.nodes;
     const sfem_int k = g->count;
-    sfem_int i, j;
-    int a, b, p, q;
-    for (i = 0; i < k; ++i) {
-        const sfemi_handle *hi = handle + g->slot[i];
-        for (j = 0; j <= i; ++j) {
-            const sfemi_handle *hj = handle + g->slot[j];
+    sfem_int i, j, p;
+    int b;
+    for (j = 0; j < k; ++j) {
+        const sfemi_region rj = sfemi_region_of(s, g->slot[j]);
+        for (p = 0; p < rj.count; ++p) g->spread[rj.node[p]] += rj.weight[p];
+        for (i = j; i < k; ++i) {
+            const sfemi_region ri = sfemi_region_of(s, g->slot[i]);
             for (b = 0; b < 3; ++b) {
-                sfem_real mean[3], w = 0;
-                if (!rotates) sfemi_schur_mean(hi, g->y[g->slot[j]] + (size_t)b * n, mean);
-                for (a = 0; a < 3 && !rotates; ++a) g->s[(3 * i + a) * 3 * k + 3 * j + b] = mean[a];
-                for (p = 0; p < 4; ++p)
-                    for (q = 0; q < 4; ++q)
-                        if (hi->node[p] == hj->node[q] && hi->weight[p] != 0 && hj->weight[q] != 0 &&
-                            !(mask[hi->node[p]] >> b & 1))
-                            w += hi->weight[p] * hj->weight[q] / model->node_mass[hi->node[p]];
+                sfem_real w = 0;
+                for (p = 0; p < ri.count; ++p)
+                    if (ri.weight[p] != 0 && g->spread[ri.node[p]] != 0 && !(mask[ri.node[p]] >> b & 1))
+                        w += ri.weight[p] * g->spread[ri.node[p]] / model->node_mass[ri.node[p]];
                 g->wm[(b * k + i) * k + j] = w;
             }
         }
+        for (p = 0; p < rj.count; ++p) g->spread[rj.node[p]] = 0;
     }
-    if (!rotates) sfemi_small_factor(g->s, 3 * k, 3 * k);
     for (b = 0; b < 3; ++b) sfemi_small_factor(g->wm + b * k * k, k, k);
 }
 
-/* l = S^-1 (c - H a), a += Y l, where lambda comes in as c. */
-static void sfemi_schur_apply(sfemi_schur *g, const sfemi_handle *handle, sfem_int nodes, sfem_real *a)
+static sfem_int sfemi_schur_rows(const sfemi_schur *g) { return g->count + g->springs; }
+
+/* Are the forces of handles that yield impulses of a step of Newmark's, or of a method like it? */
+static int sfemi_spring_is_impulse(const sfem_body *b) { return fabs(b->scheme.beta - b->scheme.gamma / 2) < 1e-12; }
+
+/* S = H Y, unless the body rotates, over the handles in g->slot; of constraints its factor, and that of W. */
+static void sfemi_schur_gather(sfemi_schur *g, const sfemi_state *s, const sfem_model *model, int rotates,
+                               const unsigned char *mask)
+{
+    const size_t n = 3 * (size_t)model->mesh.nodes;
+    const sfem_int k = sfemi_schur_rows(g);
+    sfem_int i, j;
+    int a, b;
+    g->shift = -1;
+    for (i = 0; i < k && !rotates; ++i) {
+        const sfemi_region r = sfemi_region_of(s, g->slot[i]);
+        for (j = 0; j <= i; ++j)
+            for (b = 0; b < 3; ++b) {
+                sfem_real mean[3];
+                sfemi_schur_mean(&r, g->y[g->slot[j]] + (size_t)b * n, mean);
+                for (a = 0; a < 3; ++a) g->s[(3 * i + a) * 3 * k + 3 * j + b] = mean[a];
+            }
+    }
+    if (g->springs) return;
+    if (!rotates) sfemi_small_factor(g->s, 3 * k, 3 * k);
+    sfemi_schur_gather_mass(g, s, model, mask);
+}
+
+/* Which handles share nodes, after one was taken or let go. */
+static void sfemi_schur_group(sfemi_schur *g, const sfemi_state *s, sfem_int handles)
+{
+    sfem_int i, j, p;
+    for (i = 0; i < handles; ++i) {
+        sfemi_region r;
+        g->group[i] = i;
+        if (!s->handle[i].used) continue;
+        r = sfemi_region_of(s, i);
+        for (p = 0; p < r.count; ++p) {
+            const sfem_int owner = (sfem_int)g->spread[r.node[p]] - 1; /* the last handle that has this node */
+            const sfem_int one = g->group[i], other = owner < 0 ? one : g->group[owner];
+            const sfem_int low = one < other ? one : other, high = one < other ? other : one;
+            for (j = 0; low < high && j <= i; ++j)
+                if (g->group[j] == high) g->group[j] = low;
+            g->spread[r.node[p]] = i + 1;
+        }
+    }
+    for (i = 0; i < handles; ++i) {
+        sfemi_region r;
+        if (!s->handle[i].used) continue;
+        r = sfemi_region_of(s, i);
+        for (p = 0; p < r.count; ++p) g->spread[r.node[p]] = 0;
+    }
+}
+
+/* a += Y l. */
+static void sfemi_schur_add(const sfemi_schur *g, sfem_int nodes, sfem_real *a)
 {
     const size_t n = 3 * (size_t)nodes;
     sfem_int i;
     size_t k;
     int c;
-    for (i = 0; i < g->count; ++i) {
-        sfem_real mean[3];
-        sfemi_schur_mean(handle + g->slot[i], a, mean);
-        for (c = 0; c < 3; ++c) g->lambda[3 * i + c] -= mean[c];
-    }
-    sfemi_small_solve(g->s, 3 * g->count, 3 * g->count, g->lambda, 1);
-    for (i = 0; i < g->count; ++i) {
+    for (i = 0; i < sfemi_schur_rows(g); ++i) {
         for (c = 0; c < 3; ++c) {
             const sfem_real *y = g->y[g->slot[i]] + (size_t)c * n, l = g->lambda[3 * i + c];
             for (k = 0; k < n; ++k) a[k] += l * y[k];
@@ -19700,28 +22670,239 @@ static void sfemi_schur_apply(sfemi_schur *g, const sfemi_handle *handle, sfem_i
     }
 }
 
+/* l = S^-1 (c - H a), a += Y l, where lambda comes in as c. */
+static void sfemi_schur_apply(sfemi_schur *g, const sfemi_state *s, sfem_int nodes, sfem_real *a)
+{
+    sfem_int i;
+    int c;
+    for (i = 0; i < g->count; ++i) {
+        const sfemi_region r = sfemi_region_of(s, g->slot[i]);
+        sfem_real mean[3];
+        sfemi_schur_mean(&r, a, mean);
+        for (c = 0; c < 3; ++c) g->lambda[3 * i + c] -= mean[c];
+    }
+    sfemi_small_solve(g->s, 3 * g->count, 3 * g->count, g->lambda, 1);
+    sfemi_schur_add(g, nodes, a);
+}
+
 /* x += M^-1 H^T m with H x = c, where lambda comes in as c: the least change of x, in the mass norm. A
  * lumped M serves: it only chooses among the changes. */
-static void sfemi_schur_project(sfemi_schur *g, const sfemi_handle *handle, const sfem_model *model,
+static void sfemi_schur_project(sfemi_schur *g, const sfemi_state *s, const sfem_model *model,
                                const unsigned char *mask, sfem_real *x)
 {
     const sfem_int k = g->count;
-    sfem_int i;
-    int c, p;
+    sfem_int i, p;
+    int c;
     for (i = 0; i < k; ++i) {
+        const sfemi_region r = sfemi_region_of(s, g->slot[i]);
         sfem_real mean[3];
-        sfemi_schur_mean(handle + g->slot[i], x, mean);
+        sfemi_schur_mean(&r, x, mean);
         for (c = 0; c < 3; ++c) g->lambda[3 * i + c] -= mean[c];
     }
     for (c = 0; c < 3; ++c) sfemi_small_solve(g->wm + c * k * k, k, k, g->lambda + c, 3);
     for (i = 0; i < k; ++i) {
-        const sfemi_handle *h = handle + g->slot[i];
-        for (p = 0; p < 4; ++p)
+        const sfemi_region r = sfemi_region_of(s, g->slot[i]);
+        for (p = 0; p < r.count; ++p)
             for (c = 0; c < 3; ++c)
-                if (h->weight[p] != 0 && !(mask[h->node[p]] >> c & 1))
-                    x[3 * (size_t)h->node[p] + (size_t)c] +=
-                        h->weight[p] * g->lambda[3 * i + c] / model->node_mass[h->node[p]];
+                if (r.weight[p] != 0 && !(mask[r.node[p]] >> c & 1))
+                    x[3 * (size_t)r.node[p] + (size_t)c] +=
+                        r.weight[p] * g->lambda[3 * i + c] / model->node_mass[r.node[p]];
     }
+}
+
+/* ---- handles that yield ----
+ *
+ * With C > 0 a handle is no constraint but a spring and a damper on the target's place t,
+ *   t - x = C l + tau x',   |l| <= F,
+ * l being its force on the body. x and x' are those at the end of the step, x' = (x - x0)/h, so that with
+ *   C' = C h/(h + tau),  t' = (h t + tau x0)/(h + tau),  g = t' - x:   l = g/C', or F g/|g| where that is more than F.
+ *   1. That is the gradient of a convex potential, |g|^2/2C', or F |g| - F^2 C'/2. Backward Euler's form of it takes
+ *      from the energy of spring and body whatever h is: a target that stands still never adds to it.
+ *   2. In (p,q,r) and Newmark's methods of beta = gamma/2 the force is an impulse h l of its step, and not taken over
+ *      to the next one as an acceleration (see >>newmark), so that nothing rings and letting go leaves nothing behind
+ *      but what the history of (p,q,r) has, see >>resume. In others that would not rest; they damp the ringing
+ *      themselves.
+ *   3. With u' = u0' + s Y l it is  (S + C'/s + mu) l = (t' - H u0')/s,  mu >= 0 where |l| = F, else 0. A target out of
+ *      reach is followed with F in the direction of what is left, mu l. This is the least of a convex
+ *      function over balls: by block Gauss-Seidel, in the order of the handles.
+ *   4. C = eps/(E V^(1/3)), of the whole body: E the harmonic mean of Young's modulus over its volume V. Neither the
+ *      mesh nor h nor what is held enters. tau = 2 sqrt(C m), m the body's mass: a rigid body hanging on one handle
+ *      is critically damped, and what is lighter more than that; the lag tau v is 2 sqrt(eps) times the way of
+ *      the hand while a wave crosses a cube of the body's volume.
+ */
+
+/* Least compliance of handles with a limit: from where the potential above has a curvature. */
+static const sfem_real sfemi_spring_least = 1e-6;
+
+static sfemi_spring sfemi_spring_make(const sfem_model *model, const sfem_body_def *def)
+{
+    sfem_real eps = def->handle_compliance, volume = 0, over = 0;
+    sfemi_spring s;
+    sfem_int e;
+    memset(&s, 0, sizeof s);
+    if (def->handle_max_force > 0) eps = fmax(eps, sfemi_spring_least);
+    if (!(eps > 0)) return s;
+    for (e = 0; e < model->mesh.tets; ++e) {
+        const sfem_real lambda = model->lambda[e], mu = model->mu[e];
+        volume += model->volume[e];
+        over += model->volume[e] * (lambda + mu) / (mu * (3 * lambda + 2 * mu)); /* over Young's modulus */
+    }
+    s.c = eps * over / volume / pow(volume, 1. / 3);
+    s.tau = 2 * sqrt(s.c * model->total_mass);
+    s.most = def->handle_max_force;
+    return s;
+}
+
+/* C' over h seconds; 0: at rest. */
+static sfem_real sfemi_spring_compliance(const sfemi_spring *s, sfem_real h) { return h > 0 ? s->c * h / (h + s->tau) : s->c; }
+
+/* t' of a target, from where the point was h seconds before; 0: at rest. */
+static void sfemi_spring_goal(const sfemi_spring *s, const sfem_real *target, const sfem_real *from, sfem_real h,
+                              sfem_real goal[3])
+{
+    const sfem_real part = h > 0 ? s->tau / (h + s->tau) : 0;
+    int c;
+    for (c = 0; c < 3; ++c) goal[c] = target[c] + part * (from[c] - target[c]);
+}
+
+/* l = the force at g = t' - x, which comes in as l. Returns the potential. */
+static sfem_real sfemi_spring_force(const sfemi_spring *s, sfem_real h, sfem_real l[3])
+{
+    const sfem_real soft = sfemi_spring_compliance(s, h), g = sqrt(sfemi_dot3(l, l));
+    const int slips = s->most > 0 && g > s->most * soft;
+    const sfem_real k = slips ? s->most / g : 1 / soft;
+    int c;
+    for (c = 0; c < 3; ++c) l[c] *= k;
+    return slips ? s->most * (g - s->most * soft / 2) : g * g / (2 * soft);
+}
+
+/* l of (D + mu) l = r with |l| <= most, D [3][3] symmetric, lower; mu by Newton's iteration on 1/|l| [Hebden 1973]. */
+static void sfemi_spring_limit_one(const sfem_real d[9], const sfem_real r[3], sfem_real most, sfem_real l[3])
+{
+    sfem_real mu = 0, size = 0;
+    int k, c;
+    for (k = 0; k < 30; ++k) {
+        sfem_real f[9], z[3], slope;
+        memcpy(f, d, sizeof f);
+        for (c = 0; c < 9; c += 4) f[c] += mu;
+        sfemi_small_factor(f, 3, 3);
+        memcpy(l, r, 3 * sizeof *l);
+        sfemi_small_solve(f, 3, 3, l, 1);
+        size = sqrt(sfemi_dot3(l, l));
+        if (size <= most * (1 + 1e-12)) break;
+        memcpy(z, l, sizeof z);
+        sfemi_small_solve(f, 3, 3, z, 1);
+        slope = sfemi_dot3(l, z);
+        if (!(slope > 0)) break;
+        mu += size * size / slope * (size - most) / most;
+    }
+    for (c = 0; size > most && c < 3; ++c) l[c] *= most / size;
+}
+
+/* l of (S + shift + mu) l = pull within `most`, from l on: block Gauss-Seidel. It ends where no force changes by more
+ * than 1e-10 of `most`; 200 sweeps, which handles on one node that pull apart may ask for, take 1 us each. */
+static void sfemi_spring_limit(sfemi_schur *g, sfem_real shift, sfem_real most)
+{
+    enum { SWEEPS = 200 };
+    const sfem_int rows = sfemi_schur_rows(g), size = 3 * rows;
+    sfem_int i, j;
+    int sweep, r, c;
+    for (i = 0; i < rows; ++i) {
+        sfem_real *l = g->lambda + 3 * i, whole = sqrt(sfemi_dot3(l, l));
+        for (c = 0; whole > most && c < 3; ++c) l[c] *= most / whole;
+    }
+    for (sweep = 0; sweep < SWEEPS; ++sweep) {
+        sfem_real change = 0;
+        for (i = 0; i < rows; ++i) {
+            sfem_real d[9], rest[3], l[3];
+            memcpy(rest, g->pull + 3 * i, sizeof rest);
+            for (j = 0; j < rows; ++j)
+                for (r = 0; j != i && r < 3; ++r)
+                    for (c = 0; c < 3; ++c)
+                        rest[r] -= (j < i ? g->s[(3 * i + r) * size + 3 * j + c] : g->s[(3 * j + c) * size + 3 * i + r]) *
+                                   g->lambda[3 * j + c];
+            for (c = 0; c < 9; ++c) d[c] = g->s[(3 * i + c / 3) * size + 3 * i + c % 3] + (c % 4 ? 0 : shift);
+            sfemi_spring_limit_one(d, rest, most, l);
+            for (c = 0; c < 3; ++c) {
+                change = fmax(change, fabs(l[c] - g->lambda[3 * i + c]));
+                g->lambda[3 * i + c] = l[c];
+            }
+        }
+        if (change <= 1e-10 * most) return;
+    }
+}
+
+/* The factor of S + shift, or of S and a shift for each handle. */
+static void sfemi_spring_factor(sfemi_schur *g, sfem_real shift, const sfem_real *shifts)
+{
+    const sfem_int size = 3 * sfemi_schur_rows(g);
+    sfem_int i, j;
+    if (!shifts && g->shift == shift) return;
+    for (i = 0; i < size; ++i) {
+        for (j = 0; j <= i; ++j) g->yield[i * size + j] = g->s[i * size + j];
+        g->yield[i * size + i] += shifts ? shifts[i / 3] : shift;
+    }
+    sfemi_small_factor(g->yield, size, size);
+    g->shift = shifts ? -1 : shift;
+}
+
+/* l from lambda = (t' - H u0')/s, within `most` each, 0: without limit. */
+static void sfemi_spring_solve(sfemi_schur *g, sfem_real shift, sfem_real most)
+{
+    const sfem_int rows = sfemi_schur_rows(g);
+    sfem_int i;
+    int over = 0;
+    memcpy(g->pull, g->lambda, 3 * (size_t)rows * sizeof *g->pull);
+    sfemi_spring_factor(g, shift, NULL);
+    sfemi_small_solve(g->yield, 3 * rows, 3 * rows, g->lambda, 1);
+    for (i = 0; most > 0 && i < rows; ++i) over |= sfemi_dot3(g->lambda + 3 * i, g->lambda + 3 * i) > most * most;
+    if (over) sfemi_spring_limit(g, shift, most);
+}
+
+/* lambda = t' - x at u, of a step of h from the state on. */
+static void sfemi_spring_gap(sfem_body *b, const sfem_real *u, sfem_real h)
+{
+    sfemi_schur *g = &b->schur;
+    sfem_int i;
+    int c;
+    for (i = 0; i < g->springs; ++i) {
+        const sfemi_region r = sfemi_region_of(&b->state, g->slot[i]);
+        sfem_real rest[3], moved[3], from[3], goal[3];
+        sfemi_schur_mean(&r, b->model->mesh.x, rest);
+        sfemi_schur_mean(&r, b->state.u, moved);
+        for (c = 0; c < 3; ++c) from[c] = rest[c] + moved[c];
+        sfemi_spring_goal(&b->spring, b->state.handle[g->slot[i]].path.target, from, h, goal);
+        sfemi_schur_mean(&r, u, moved);
+        for (c = 0; c < 3; ++c) g->lambda[3 * i + c] = goal[c] - rest[c] - moved[c];
+    }
+}
+
+/* lambda = (t' - H (u + scale a))/scale. */
+static void sfemi_spring_right_side(sfem_body *b, const sfem_real *u, sfem_real scale, const sfem_real *a)
+{
+    sfemi_schur *g = &b->schur;
+    sfem_int i;
+    int c;
+    sfemi_spring_gap(b, u, b->step.h);
+    for (i = 0; i < g->springs; ++i) {
+        const sfemi_region r = sfemi_region_of(&b->state, g->slot[i]);
+        sfem_real mean[3];
+        sfemi_schur_mean(&r, a, mean);
+        for (c = 0; c < 3; ++c) g->lambda[3 * i + c] = g->lambda[3 * i + c] / scale - mean[c];
+    }
+}
+
+/* a += share Y l where the step ends at u + scale a; lambda = l. Of bodies that do not rotate. */
+static void sfemi_spring_step(sfem_body *b, const sfem_real *u, sfem_real scale, sfem_real share, sfem_real *a)
+{
+    sfemi_schur *g = &b->schur;
+    const sfem_real soft = sfemi_spring_compliance(&b->spring, b->step.h);
+    sfem_int i;
+    if (!g->springs) return;
+    sfemi_spring_right_side(b, u, scale, a);
+    sfemi_spring_solve(g, soft / (share * scale), share * b->spring.most);
+    sfemi_schur_add(g, b->model->mesh.nodes, a);
+    for (i = 0; i < 3 * g->springs; ++i) g->lambda[i] /= share;
 }
 
 /* Velocity and acceleration at the end of a step of h seconds that goes from x to hold->target, after one
@@ -19809,7 +22990,7 @@ static sfem_real sfemi_body_lumped_solve(sfem_body *b, sfem_real *r, sfem_real *
         z[i] = b->mask[i / 3] >> (i % 3) & 1 ? 0 : r[i] / model->node_mass[i / 3];
     if (b->schur.count) {
         memset(b->schur.lambda, 0, 3 * (size_t)b->schur.count * sizeof *b->schur.lambda);
-        sfemi_schur_project(&b->schur, b->state.handle, model, b->mask, z);
+        sfemi_schur_project(&b->schur, &b->state, model, b->mask, z);
     }
     for (i = 0; i < n; ++i) {
         r[i] = model->node_mass[i / 3] * z[i];
@@ -19857,11 +23038,11 @@ static void sfemi_body_project(sfem_body *b, const sfem_real *y, sfem_real *x)
     size_t i;
     if (!b->model->block_mass) {
         for (i = 0; i < n; ++i) x[i] = b->mask[i / 3] >> (i % 3) & 1 ? x[i] : y[i];
-        if (b->schur.count) sfemi_schur_project(&b->schur, b->state.handle, b->model, b->mask, x);
+        if (b->schur.count) sfemi_schur_project(&b->schur, &b->state, b->model, b->mask, x);
         return;
     }
     for (i = 0; i < n; ++i) given[i] = b->mask[i / 3] >> (i % 3) & 1 ? x[i] : 0;
-    if (b->schur.count) sfemi_schur_project(&b->schur, b->state.handle, b->model, b->mask, given);
+    if (b->schur.count) sfemi_schur_project(&b->schur, &b->state, b->model, b->mask, given);
     for (i = 0; i < n; ++i) x[i] = y[i] - given[i];
     sfem_model_multiply_mass(b->model, x, b->rhs, &b->exec);
     sfemi_body_mass_solve(b, x);
@@ -19893,9 +23074,10 @@ static void sfemi_body_handle_gap(const sfem_body *b, sfemi_schur *g, const sfem
     int c;
     for (i = 0; i < g->count; ++i) {
         const sfemi_handle *h = b->state.handle + g->slot[i];
+        const sfemi_region r = sfemi_region_of(&b->state, g->slot[i]);
         sfem_real rest[3], moved[3];
-        sfemi_schur_mean(h, b->model->mesh.x, rest);
-        sfemi_schur_mean(h, u, moved);
+        sfemi_schur_mean(&r, b->model->mesh.x, rest);
+        sfemi_schur_mean(&r, u, moved);
         for (c = 0; c < 3; ++c)
             g->lambda[3 * i + c] = (h->path.target[c] - rest[c] - moved[c]) / scale;
     }
@@ -19903,11 +23085,13 @@ static void sfemi_body_handle_gap(const sfem_body *b, sfemi_schur *g, const sfem
 
 SFEM_DEF void sfem_body_handle_position(const sfem_body *b, sfem_int handle, sfem_real x[3])
 {
+    sfemi_region r;
     sfem_real u[3];
     int c;
     SFEM_ASSERT(handle >= 0 && handle < b->def.max_handles && b->state.handle[handle].used);
-    sfemi_schur_mean(b->state.handle + handle, b->model->mesh.x, x);
-    sfemi_schur_mean(b->state.handle + handle, b->state.u, u);
+    r = sfemi_region_of(&b->state, handle);
+    sfemi_schur_mean(&r, b->model->mesh.x, x);
+    sfemi_schur_mean(&r, b->state.u, u);
     for (c = 0; c < 3; ++c) x[c] += u[c];
 }
 
@@ -19928,8 +23112,9 @@ static void sfemi_newmark_guess(const sfem_body *b, size_t i, sfem_real *u, sfem
     const sfem_real h = b->step.h;
     const sfemi_state *s = &b->state;
     const sfem_real w = sfemi_body_way(b)[i];
-    *u = s->u[i] + h * (w + h * (0.5 - b->def.beta) * s->a[i]);
-    *v = w + (1 - b->def.gamma) * h * s->a[i];
+    const sfem_real a = b->step.jumps ? s->a[i] + b->jump[i] : s->a[i];
+    *u = s->u[i] + h * (w + h * (0.5 - b->def.beta) * a);
+    *v = w + (1 - b->def.gamma) * h * a;
 }
 
 static void sfemi_newmark_predict(sfem_body *b)
@@ -19973,10 +23158,14 @@ static void sfemi_newmark_solve(sfem_body *b)
     const sfem_real h = b->step.h;
     size_t i;
     sfem_real v;
-    if (!b->schur.count) return;
+    if (!sfemi_schur_rows(&b->schur)) return;
     for (i = 0; i < n; ++i) sfemi_newmark_guess(b, i, &b->zk[i], &v);
+    if (b->schur.springs) {
+        sfemi_spring_step(b, b->zk, b->def.beta * h * h, sfemi_spring_is_impulse(b) ? 1 / b->def.gamma : 1, b->acc);
+        return;
+    }
     sfemi_body_handle_gap(b, &b->schur, b->zk, b->def.beta * h * h);
-    sfemi_schur_apply(&b->schur, b->state.handle, b->model->mesh.nodes, b->acc);
+    sfemi_schur_apply(&b->schur, &b->state, b->model->mesh.nodes, b->acc);
 }
 
 static void sfemi_newmark_finish(sfem_body *b)
@@ -20008,6 +23197,62 @@ static void sfemi_newmark_finish(sfem_body *b)
         }
         sfemi_target_advance(s->pin + k, x);
     }
+}
+
+/* a -= part M^-1 H^T l: handles that yield act by an impulse, with a force of l/gamma at the end of the step, which
+ * makes v' = .. + h M^-1 H^T l of v' = .. + gamma h a', and at (1/4, 1/2) a way whose work is l H (u' - u). */
+static void sfemi_newmark_settle(sfem_body *b, sfem_real part)
+{
+    const sfemi_schur *g = &b->schur;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    sfem_real *x = b->spare ? b->spare : b->implicit.step;
+    sfem_int k;
+    size_t i;
+    if (!g->springs || part == 0) return;
+    memset(b->rhs, 0, n * sizeof *b->rhs);
+    for (k = 0; k < g->springs; ++k) {
+        const sfemi_region r = sfemi_region_of(&b->state, g->slot[k]);
+        sfemi_schur_spread(&r, b->state.handle[g->slot[k]].force, b->mask, b->rhs);
+    }
+    sfemi_body_mass_solve(b, x);
+    for (i = 0; i < n; ++i)
+        if (!(b->mask[i / 3] >> (i % 3) & 1)) b->state.a[i] -= part * x[i];
+}
+
+/* (1/4, 1/2) makes v' = 2 (x' - x)/h - v of a handle that is stiff beside the step, and rings with it. So its v' goes
+ * towards (x' - x)/h, by S/(S + C'/s) of the way, all of it where it is stiff, by the least change in the mass norm,
+ * where that does not add to the kinetic energy. Returns whether any has changed. */
+static int sfemi_newmark_calm(sfem_body *b)
+{
+    static const sfem_real one[3] = {1, 1, 1};
+    const sfemi_schur *g = &b->schur;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    sfem_real *column = b->spare ? b->spare : b->implicit.step;
+    int changed = 0, c;
+    sfem_int k;
+    size_t i;
+    for (k = 0; k < g->springs; ++k) {
+        const sfemi_region r = sfemi_region_of(&b->state, g->slot[k]);
+        sfem_real x[3], v[3], way[3], inverse[3], before = 0, after = 0, own = 0;
+        for (c = 0; c < 3; ++c) own += g->s[(3 * k + c) * (3 * g->springs + 1)] / 3;
+        if (!(own > 0 && g->shift > 0)) continue;
+        memset(b->rhs, 0, n * sizeof *b->rhs);
+        sfemi_schur_spread(&r, one, b->mask, b->rhs);
+        sfemi_body_mass_solve(b, column); /* the axes do not mix */
+        sfem_body_handle_position(b, g->slot[k], x);
+        sfemi_schur_mean(&r, b->state.w, v);
+        sfemi_schur_mean(&r, column, inverse);
+        for (c = 0; c < 3; ++c) {
+            way[c] = (x[c] - g->place[3 * k + c]) / b->step.h;
+            before += inverse[c] > 0 ? v[c] * v[c] / inverse[c] : 0;
+            after += inverse[c] > 0 ? way[c] * way[c] / inverse[c] : 0;
+        }
+        if (!(after < before)) continue;
+        changed = 1;
+        for (c = 0; c < 3; ++c) way[c] = inverse[c] > 0 ? own / (own + g->shift) * (way[c] - v[c]) / inverse[c] : 0;
+        for (i = 0; i < n; ++i) b->state.w[i] += way[i % 3] * column[i];
+    }
+    return changed;
 }
 
 /* Velocity and acceleration of the handles: x [handles][3] are their positions before the step. */
@@ -20072,6 +23317,7 @@ static sfem_status sfemi_implicit_check(const sfem_body_def *d, sfem_error *err)
     return SFEM_OK;
 }
 
+#ifndef SFEM_NO_NEWTON
 /* Does Newton's matrix never change, so that a shared factor serves? */
 static int sfemi_implicit_constant(const sfem_body *b)
 {
@@ -20130,13 +23376,6 @@ done:
     return status;
 }
 
-static void sfemi_system_close(const sfem_body *b, sfemi_system *s)
-{
-    sfem_matrix_free(&s->matrix);
-    sfemi_delete(&b->model->allocator, s->source);
-    memset(s, 0, sizeof *s);
-}
-
 static void sfemi_implicit_destroy(sfem_body *b)
 {
     sfemi_implicit *m = &b->implicit;
@@ -20161,32 +23400,6 @@ static size_t sfemi_implicit_bytes(const sfem_body *b)
     return reals * sizeof(sfem_real);
 }
 
-/* A factor of its own and the matrix to refactor it from. The caller releases the factor. */
-static sfem_status sfemi_system_open(sfem_body *b, const sfemi_factor_key *key, sfemi_system *out,
-                                     sfem_error *err)
-{
-    const sfem_model *model = b->model;
-    const sfem_matrix *p;
-    sfemi_system s;
-    sfem_status status = SFEM_OK;
-    sfem_int k, at, count = 0;
-    memset(&s, 0, sizeof s);
-    SFEMI_TRY(sfemi_factor_make(b->model, key, &b->exec, &s.factor, err));
-    ++b->factors_made;
-    SFEMI_TRY(sfemi_factor_matrix(model, s.factor, &s.matrix, err));
-    p = key->exact ? sfemi_fem_exact(model) : &model->stiffness;
-    SFEMI_NEW(sfem_int, s.source, &model->allocator, (size_t)s.matrix.row[s.matrix.n] + 1);
-    for (k = 0; k < s.factor->free_nodes; ++k)
-        for (at = p->row[s.factor->node[k]]; at < p->row[s.factor->node[k] + 1]; ++at)
-            if (s.factor->mask[p->col[at]] != SFEM_AXIS_ALL) s.source[count++] = at;
-    *out = s;
-    return SFEM_OK;
-done:
-    sfemi_factor_release(b->model, s.factor);
-    sfemi_system_close(b, &s);
-    return status;
-}
-
 /* ---- stages ---- */
 
 /* The numbers of stage k of a step of h seconds. */
@@ -20195,7 +23408,7 @@ static sfemi_stage sfemi_implicit_stage(const sfem_body *b, int k, sfem_real h)
     const sfem_real beta = b->scheme.beta, gamma = b->scheme.gamma, am = b->scheme.am, af = b->scheme.af;
     sfemi_stage s;
     memset(&s, 0, sizeof s);
-    s.end = 1;
+    s.end = s.span = s.hand = 1;
     s.m1 = 1 - am;
     s.m0 = am;
     s.w1 = 1 - af;
@@ -20207,6 +23420,7 @@ static sfemi_stage sfemi_implicit_stage(const sfem_body *b, int k, sfem_real h)
         return s;
     }
     if (b->scheme.stages == 2 && k == 1) {
+        s.span = 0.5;
         s.c1 = 3 / h; /* v' = (u - 4 u_mid + 3 u')/h, and a' from v alike */
         s.vd = -4 / h;
         s.c2 = 9 / (h * h);
@@ -20216,9 +23430,10 @@ static sfemi_stage sfemi_implicit_stage(const sfem_body *b, int k, sfem_real h)
         return s;
     }
     if (b->scheme.stages == 2) {
-        s.end = 0.5;
+        s.end = s.span = 0.5;
         h /= 2;
     }
+    if (sfemi_spring_is_impulse(b)) s.hand = s.m1 / gamma;
     s.c1 = gamma / (beta * h);
     s.vv = 1 - gamma / beta;
     s.va = (1 - gamma / (2 * beta)) * h;
@@ -20388,6 +23603,7 @@ typedef struct sfemi_newton {
     int once;            /* one solve, whatever comes of it */
     int ready;           /* d is evaluated */
     int feasible;        /* pins and handles are where they have to be */
+    sfem_real loose;     /* statics: of M in the matrix, where nothing but handles that yield may hold the body */
     sfem_real scale;     /* what |r| is compared with */
     sfem_real floor_u, floor_d, edge; /* |r| that rounding makes of displacements, see below */
     sfem_real best;      /* the least relative |r| so far, that of implicit.best */
@@ -20430,6 +23646,39 @@ static void sfemi_newton_floor(sfem_body *b, sfemi_newton *t)
     t->floor_d = b->implicit.still ? 0 : eps * b->implicit.stage.m1 * b->implicit.stage.c2 * sqrt(m2);
 }
 
+/* The forces of handles that yield at d, as they act in the stage, to schur.lambda. Returns their potential. */
+static sfem_real sfemi_newton_springs(sfem_body *b, int forces)
+{
+    sfemi_implicit *m = &b->implicit;
+    sfemi_schur *g = &b->schur;
+    const sfemi_stage *s = &m->stage;
+    const sfem_real h = s->span * b->step.h;
+    sfem_real sum = 0;
+    sfem_int k;
+    int c;
+    for (k = 0; k < g->springs; ++k) {
+        const sfemi_target *path = &b->state.handle[g->slot[k]].path;
+        const sfemi_region r = sfemi_region_of(&b->state, g->slot[k]);
+        sfem_real rest[3], u[3], d[3], mid[3], place[3], goal[3], *l = g->lambda + 3 * k;
+        sfemi_schur_mean(&r, b->model->mesh.x, rest);
+        sfemi_schur_mean(&r, b->state.u, u);
+        sfemi_schur_mean(&r, m->d, d);
+        sfemi_schur_mean(&r, m->mid_d, mid);
+        memcpy(place, path->target, sizeof place);
+        for (c = 0; c < 3; ++c) {
+            if (m->still) place[c] = rest[c] + u[c] + m->share * (path->target[c] - rest[c] - u[c]);
+            else if (s->end < 1 && path->age > 0) place[c] = path->past[c] + s->end * (path->target[c] - path->past[c]);
+            mid[c] += rest[c] + u[c];
+        }
+        sfemi_spring_goal(&b->spring, place, mid, h, goal);
+        for (c = 0; c < 3; ++c) l[c] = goal[c] - rest[c] - u[c] - d[c];
+        if (!forces) continue;
+        sum += s->hand * sfemi_spring_force(&b->spring, h, l);
+        for (c = 0; c < 3; ++c) l[c] *= s->hand;
+    }
+    return sum;
+}
+
 /* f and q = M .. + D - F at d, zero on held axes; the scale of r. */
 static void sfemi_newton_evaluate(sfem_body *b, sfemi_newton *t)
 {
@@ -20463,12 +23712,26 @@ static void sfemi_newton_evaluate(sfem_body *b, sfemi_newton *t)
     for (i = 1; i < 4; ++i)
         if (most[i] > most[0] || !sfemi_finite(most[i])) most[0] = most[i];
     t->scale = sqrt(most[0]);
+    m->yield = sfemi_newton_springs(b, 1);
     ++m->info.evaluations;
 }
 
 static int sfemi_newton_finite(const sfem_body *b, const sfemi_newton *t)
 {
-    return sfemi_finite(b->implicit.energy) && sfemi_finite(t->scale);
+    return sfemi_finite(b->implicit.energy) && sfemi_finite(t->scale) && sfemi_finite(b->implicit.yield);
+}
+
+/* What rounding of places makes of the forces of handles that yield. */
+static sfem_real sfemi_newton_spring_floor(const sfem_body *b)
+{
+    const sfemi_stage *s = &b->implicit.stage;
+    sfem_real sum = 0;
+    sfem_int k;
+    for (k = 0; k < b->schur.springs; ++k) {
+        const sfem_real *t = b->state.handle[b->schur.slot[k]].path.target;
+        sum += sqrt(sfemi_dot3(t, t)) + sfemi_implicit_max(b->implicit.x, 3 * (size_t)b->model->mesh.nodes);
+    }
+    return sum > 0 ? 1e-15 * sum * s->hand / sfemi_spring_compliance(&b->spring, s->span * b->step.h) : 0;
 }
 
 /* The norm of r + H^T l, l in schur.lambda, and whether it will do. */
@@ -20481,18 +23744,14 @@ static int sfemi_newton_converged(sfem_body *b, sfemi_newton *t)
     sfem_real floor, norm;
     sfem_int k;
     size_t i;
-    int p, c;
     for (i = 0; i < n; ++i) m->step[i] = -(m->f[i] + m->q[i]);
-    for (k = 0; k < g->count; ++k) {
-        const sfemi_handle *h = b->state.handle + g->slot[k];
-        for (p = 0; p < 4; ++p)
-            for (c = 0; c < 3; ++c)
-                if (h->weight[p] != 0 && !(mask[h->node[p]] >> c & 1))
-                    m->step[3 * (size_t)h->node[p] + (size_t)c] += h->weight[p] * g->lambda[3 * k + c];
+    for (k = 0; k < sfemi_schur_rows(g); ++k) {
+        const sfemi_region r = sfemi_region_of(&b->state, g->slot[k]);
+        sfemi_schur_spread(&r, g->lambda + 3 * k, mask, m->step);
     }
     norm = sqrt(sfemi_implicit_dot(m->step, m->step, n));
     floor = t->floor_u * (sfemi_implicit_max(m->x, n) + t->edge) +
-            t->floor_d * sfemi_implicit_max(m->d, n);
+            t->floor_d * sfemi_implicit_max(m->d, n) + sfemi_newton_spring_floor(b);
     m->info.residual = t->scale > 0 ? norm / t->scale : 0;
     if (!t->feasible) return 0;
     if (b->def.newton.accept_best && !m->still && m->info.residual < t->best) {
@@ -20566,7 +23825,7 @@ static sfem_status sfemi_newton_matrix(sfem_body *b, sfemi_newton *t, int projec
 {
     const sfem_tangent kind = project ? SFEM_TANGENT_PSD : b->def.newton.tangent;
     const sfem_real inertia = b->implicit.still ? 0 : b->implicit.stage.m1 * b->implicit.stage.c2;
-    sfem_status status = sfemi_newton_factor(b, t, kind, 0, err);
+    sfem_status status = sfemi_newton_factor(b, t, kind, t->loose, err);
     sfem_real shift;
     int tries;
     if (status != SFEM_NOT_SPD || sfemi_implicit_linear(b->model)) return status;
@@ -20612,10 +23871,11 @@ static sfem_real sfemi_newton_gap(sfem_body *b)
     int c;
     for (k = 0; k < b->schur.count; ++k) {
         const sfemi_handle *h = b->state.handle + b->schur.slot[k];
+        const sfemi_region r = sfemi_region_of(&b->state, b->schur.slot[k]);
         sfem_real rest[3], u[3], d[3], place[3], v[3], a[3];
-        sfemi_schur_mean(h, b->model->mesh.x, rest);
-        sfemi_schur_mean(h, b->state.u, u);
-        sfemi_schur_mean(h, m->d, d);
+        sfemi_schur_mean(&r, b->model->mesh.x, rest);
+        sfemi_schur_mean(&r, b->state.u, u);
+        sfemi_schur_mean(&r, m->d, d);
         for (c = 0; c < 3; ++c) place[c] = rest[c] + u[c];
         if (m->still) {
             for (c = 0; c < 3; ++c) v[c] = place[c] + m->share * (h->path.target[c] - place[c]);
@@ -20626,6 +23886,63 @@ static sfem_real sfemi_newton_gap(sfem_body *b)
         for (c = 0; c < 3; ++c) b->schur.lambda[3 * k + c] = place[c] - rest[c] - u[c] - d[c];
     }
     return sfemi_implicit_max(b->schur.lambda, 3 * (size_t)b->schur.count);
+}
+
+/* step += H^T l, the forces of handles that yield at d, which are kept in schur.place. */
+static void sfemi_newton_push(sfem_body *b, const unsigned char *mask)
+{
+    sfemi_schur *g = &b->schur;
+    sfem_int k;
+    if (!g->springs) return;
+    (void)sfemi_newton_springs(b, 1);
+    memcpy(g->place, g->lambda, 3 * (size_t)g->springs * sizeof *g->place);
+    for (k = 0; k < g->springs; ++k) {
+        const sfemi_region r = sfemi_region_of(&b->state, g->slot[k]);
+        sfemi_schur_spread(&r, g->place + 3 * k, mask, b->implicit.step);
+    }
+}
+
+/* step += Y (l' - l), from the forces at d to those at d + step. Their change alone is solved for where no limit is
+ * met: of a body that nothing else holds, what l does without Y is far more than the step. */
+static void sfemi_newton_pull(sfem_body *b)
+{
+    sfemi_implicit *m = &b->implicit;
+    sfemi_schur *g = &b->schur;
+    const sfem_int size = 3 * g->springs;
+    const sfem_real shift = sfemi_spring_compliance(&b->spring, m->stage.span * b->step.h) / m->stage.hand;
+    const sfem_real most = m->stage.hand * b->spring.most;
+    sfem_real mean[3];
+    sfem_int k, j;
+    int c, over = 0;
+    for (k = 0; k < g->springs; ++k) {
+        const sfemi_region r = sfemi_region_of(&b->state, g->slot[k]);
+        sfemi_schur_mean(&r, m->step, mean);
+        for (c = 0; c < 3; ++c) g->lambda[3 * k + c] = -mean[c];
+    }
+    sfemi_spring_factor(g, shift, NULL);
+    sfemi_small_solve(g->yield, size, size, g->lambda, 1);
+    for (k = 0; most > 0 && k < g->springs; ++k) {
+        sfem_real l[3];
+        for (c = 0; c < 3; ++c) l[c] = g->lambda[3 * k + c] + g->place[3 * k + c];
+        over |= sfemi_dot3(l, l) > most * most || sfemi_dot3(g->place + 3 * k, g->place + 3 * k) > most * most * (1 - 1e-9);
+    }
+    if (over) {
+        sfemi_newton_springs(b, 0);
+        for (k = 0; k < g->springs; ++k) {
+            const sfemi_region r = sfemi_region_of(&b->state, g->slot[k]);
+            sfemi_schur_mean(&r, m->step, mean);
+            for (c = 0; c < 3; ++c) {
+                const sfem_int row = 3 * k + c;
+                g->lambda[row] -= mean[c];
+                for (j = 0; j < size; ++j)
+                    g->lambda[row] += (j <= row ? g->s[row * size + j] : g->s[j * size + row]) * g->place[j];
+            }
+        }
+        sfemi_spring_solve(g, shift, most);
+        for (k = 0; k < size; ++k) g->lambda[k] -= g->place[k];
+    }
+    sfemi_schur_add(g, b->model->mesh.nodes, m->step);
+    for (k = 0; k < size; ++k) g->lambda[k] += g->place[k];
 }
 
 /* Newton's correction, to step; pins and handles go all their way. */
@@ -20648,29 +23965,37 @@ static sfem_status sfemi_newton_correct(sfem_body *b, sfemi_newton *t, int proje
         moved |= g[i] != 0;
     }
     if (moved) sfemi_newton_lift(b, g);
+    sfemi_newton_push(b, y->factor->mask);
     sfemi_factor_solve(y->factor, nodes, 1, m->step, m->step, b->workspace->work, &b->exec);
     for (i = 0; i < n; ++i)
         if (y->factor->mask[i / 3] >> (i % 3) & 1) m->step[i] = g[i];
     ++m->info.iterations;
-    if (!b->schur.count) return SFEM_OK;
+    if (!sfemi_schur_rows(&b->schur)) return SFEM_OK;
     if (y->matrix.val || m->second) {
-        for (k = 0; k < b->schur.count; ++k)
-            sfemi_schur_columns(y->factor, b->state.handle + b->schur.slot[k], nodes, 0,
-                               b->schur.y[b->schur.slot[k]], b->workspace->work, &b->exec);
-        sfemi_schur_gather(&b->schur, b->state.handle, b->model, 0, y->factor->mask);
+        for (k = 0; k < sfemi_schur_rows(&b->schur); ++k) {
+            const sfemi_region r = sfemi_region_of(&b->state, b->schur.slot[k]);
+            sfemi_schur_columns(y->factor, &r, nodes, b->schur.y[b->schur.slot[k]], b->workspace->work, &b->exec);
+        }
+        sfemi_schur_gather(&b->schur, &b->state, b->model, 0, y->factor->mask);
+    }
+    if (b->schur.springs) {
+        sfemi_newton_pull(b);
+        return SFEM_OK;
     }
     sfemi_newton_gap(b);
-    sfemi_schur_apply(&b->schur, b->state.handle, nodes, m->step);
+    sfemi_schur_apply(&b->schur, &b->state, nodes, m->step);
     return SFEM_OK;
 }
 
-/* l.(H step): nothing once the handles are where they belong, but for rounding, which l may make felt. */
+/* l.(H step): of constraints nothing once the handles are where they belong, but for rounding, which l may make
+ * felt. */
 static sfem_real sfemi_newton_handle_work(const sfem_body *b)
 {
     sfem_real work = 0, mean[3];
     sfem_int k;
-    for (k = 0; k < b->schur.count; ++k) {
-        sfemi_schur_mean(b->state.handle + b->schur.slot[k], b->implicit.step, mean);
+    for (k = 0; k < sfemi_schur_rows(&b->schur); ++k) {
+        const sfemi_region r = sfemi_region_of(&b->state, b->schur.slot[k]);
+        sfemi_schur_mean(&r, b->implicit.step, mean);
         work += sfemi_dot3(mean, b->schur.lambda + 3 * k);
     }
     return work;
@@ -20691,10 +24016,11 @@ static int sfemi_newton_search(sfem_body *b, sfemi_newton *t)
 {
     sfemi_implicit *m = &b->implicit;
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
-    const int check = t->feasible && b->def.newton.line_search;
-    const sfem_real energy = m->energy, hands = sfemi_newton_handle_work(b);
-    const sfem_real q0 = sfemi_implicit_dot(m->q, m->step, n) - hands;
-    const sfem_real drop = -(q0 + sfemi_implicit_dot(m->f, m->step, n));
+    const int check = t->feasible && b->def.newton.line_search, springs = b->schur.springs > 0;
+    const sfem_real energy = m->energy, yield = springs ? sfemi_newton_springs(b, 1) : 0;
+    const sfem_real hands = sfemi_newton_handle_work(b), pull = springs ? hands : 0; /* pull: it changes on the way */
+    const sfem_real q0 = sfemi_implicit_dot(m->q, m->step, n) - (hands - pull);
+    const sfem_real drop = -(q0 - pull + sfemi_implicit_dot(m->f, m->step, n));
     sfem_real length = 1, gone = 0;
     size_t i;
     int tries;
@@ -20704,10 +24030,11 @@ static int sfemi_newton_search(sfem_body *b, sfemi_newton *t)
         gone = length;
         sfemi_newton_evaluate(b, t);
         if (sfemi_newton_finite(b, t)) {
-            const sfem_real q1 = sfemi_implicit_dot(m->q, m->step, n) - hands;
-            const sfem_real slope = -(q1 + sfemi_implicit_dot(m->f, m->step, n));
-            const sfem_real noise = 1e-10 * (fabs(energy) + fabs(m->energy)) / m->stage.w1;
-            change = (m->energy - energy) / m->stage.w1 + length / 2 * (q0 + q1);
+            const sfem_real q1 = sfemi_implicit_dot(m->q, m->step, n) - (hands - pull);
+            const sfem_real end = springs ? sfemi_newton_handle_work(b) : 0;
+            const sfem_real slope = -(q1 - end + sfemi_implicit_dot(m->f, m->step, n));
+            const sfem_real noise = 1e-10 * ((fabs(energy) + fabs(m->energy)) / m->stage.w1 + yield + m->yield);
+            change = (m->energy - energy) / m->stage.w1 + (m->yield - yield) + length / 2 * (q0 + q1);
             if (!check || sfemi_newton_suffices(change, length, drop, slope, noise)) {
                 t->feasible |= length == 1;
                 return 1;
@@ -20767,6 +24094,7 @@ static sfem_status sfemi_newton_run(sfem_body *b, sfemi_newton *t, sfem_error *e
     }
     if (b->def.newton.accept_best && !m->still) {
         if (t->best < 1e300) memcpy(m->d, m->best, n * sizeof *m->d);
+        (void)sfemi_newton_springs(b, 1);
         return SFEM_OK;
     }
     return sfemi_fail(err, SFEM_NOT_CONVERGED, "%s did not converge: residual %.3g after %d iterations",
@@ -20779,6 +24107,7 @@ static void sfemi_implicit_predict(sfem_body *b)
 {
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     sfemi_implicit *m = &b->implicit;
+    size_t i;
     memset(m->mid_d, 0, n * sizeof *m->mid_d);
     memset(m->mid_v, 0, n * sizeof *m->mid_v);
     if (b->state.head->started == SFEMI_RUNNING) {
@@ -20790,6 +24119,7 @@ static void sfemi_implicit_predict(sfem_body *b)
         sfemi_implicit_balance(b, 1, m->v, NULL, b->rhs);
         sfemi_body_mass_solve(b, m->a0);
     }
+    for (i = 0; b->step.jumps && i < n; ++i) m->a0[i] += b->jump[i];
     sfemi_implicit_load(b, 0, b->rhs);
 }
 
@@ -20800,18 +24130,19 @@ static void sfemi_implicit_guess(sfem_body *b, sfemi_newton *t, int stage)
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     const sfem_real *v = stage ? m->mid_v : b->state.w, *a = stage ? m->mid_a : m->a0;
     const sfem_real h = b->step.h * (stage ? 0.5 : m->stage.end);
-    sfem_real energy, q0;
+    sfem_real energy, yield, q0;
     size_t i;
     memcpy(m->d, m->mid_d, n * sizeof *m->d);
     if (t->once) return;
     sfemi_newton_evaluate(b, t);
     energy = m->energy;
+    yield = m->yield;
     for (i = 0; i < n; ++i) m->step[i] = h * (v[i] + h / 2 * a[i]);
     q0 = sfemi_implicit_dot(m->q, m->step, n);
     for (i = 0; i < n; ++i) m->d[i] += m->step[i];
     sfemi_newton_evaluate(b, t);
     q0 += sfemi_implicit_dot(m->q, m->step, n);
-    t->ready = sfemi_newton_finite(b, t) && (m->energy - energy) / m->stage.w1 + q0 / 2 <= 0;
+    t->ready = sfemi_newton_finite(b, t) && (m->energy - energy) / m->stage.w1 + (m->yield - yield) + q0 / 2 <= 0;
     if (t->ready) return;
     memcpy(m->d, m->mid_d, n * sizeof *m->d);
 }
@@ -20858,6 +24189,7 @@ static sfem_status sfemi_implicit_solve(sfem_body *b, sfem_error *err)
     if (!sfemi_all_finite(m->mid_a, n))
         return sfemi_fail(err, SFEM_NOT_FINITE, "the step's acceleration is not finite: a force was not");
     memcpy(b->acc, m->mid_a, n * sizeof *b->acc);
+    for (i = 0; i < 3 * (size_t)b->schur.springs; ++i) b->schur.lambda[i] /= m->stage.hand;
     return SFEM_OK;
 }
 
@@ -20914,12 +24246,14 @@ static sfem_status sfemi_implicit_equilibrium(sfem_body *b, sfemi_system *system
     size_t i;
     memset(&m->info, 0, sizeof m->info);
     memset(&m->stage, 0, sizeof m->stage);
-    m->stage.w1 = m->stage.end = 1;
+    m->stage.w1 = m->stage.end = m->stage.hand = 1;
     m->still = 1;
     memset(&t, 0, sizeof t);
     t.system = system;
+    t.loose = system->factor->key.cm;
     t.what = "the static solution";
     t.iterations = b->def.newton.iterations > 2 ? b->def.newton.iterations : 20;
+    if (t.loose > 0) t.iterations *= 3;
     sfemi_implicit_load(b, 0, m->amap);                            /* F */
     sfemi_implicit_terms(b, b->state.u, NULL, NULL, m->vmap, m->q); /* f at the start */
     memset(m->mid_d, 0, n * sizeof *m->mid_d);                     /* where it converged last */
@@ -20952,6 +24286,16 @@ static sfem_status sfemi_implicit_equilibrium(sfem_body *b, sfemi_system *system
                           m->info.residual, (int)m->info.iterations, reached);
     return status;
 }
+
+#else /* what other sections ask of it */
+static void sfemi_implicit_destroy(sfem_body *b) { (void)b; }
+static size_t sfemi_implicit_bytes(const sfem_body *b) { (void)b; return 0; }
+static sfem_status sfemi_implicit_reserve(sfem_body *b, sfem_error *err)
+{
+    (void)b;
+    return sfemi_fail(err, SFEM_BAD_ARGUMENT, "this takes Newton's iteration: the library is compiled with SFEM_NO_NEWTON");
+}
+#endif /* SFEM_NO_NEWTON */
 
 /* ============================================================================================
  * >>alpha   dissipation on demand: KR-alpha, CR, Gui-lambda, Chang
@@ -21096,7 +24440,7 @@ static void sfemi_alpha_predict(sfem_body *b)
     sfemi_factor_solve(b->factor, b->model->mesh.nodes, 1, b->rhs, b->base, b->workspace->work, &b->exec);
     if (b->schur.count) {
         memset(b->schur.lambda, 0, 3 * (size_t)b->schur.count * sizeof *b->schur.lambda);
-        sfemi_schur_apply(&b->schur, b->state.handle, b->model->mesh.nodes, b->base);
+        sfemi_schur_apply(&b->schur, &b->state, b->model->mesh.nodes, b->base);
     }
     for (i = 0; i < n; ++i) b->base[i] += w[i];
 }
@@ -21154,10 +24498,11 @@ static void sfemi_pqr_solve(sfem_body *b)
     const sfemi_step t = b->step;
     const sfem_real h = b->step.h, *base = sfemi_pqr_base(b);
     size_t i;
+    for (i = 0; sfemi_schur_rows(&b->schur) && i < n; ++i) b->zk[i] = b->state.u[i] + h * base[i];
+    sfemi_spring_step(b, b->zk, h * t.d / (1 - t.am), 1, b->acc);
     if (b->schur.count) {
-        for (i = 0; i < n; ++i) b->zk[i] = b->state.u[i] + h * base[i];
         sfemi_body_handle_gap(b, &b->schur, b->zk, h * t.d / (1 - t.am));
-        sfemi_schur_apply(&b->schur, b->state.handle, b->model->mesh.nodes, b->acc);
+        sfemi_schur_apply(&b->schur, &b->state, b->model->mesh.nodes, b->acc);
     }
     for (i = 0; t.am != 0 && i < n; ++i) b->acc[i] /= 1 - t.am;
 }
@@ -21475,15 +24820,16 @@ static void sfemi_rotated_weigh(sfem_body *b)
 /* Which pieces are held by pins or handles. */
 static void sfemi_rotated_find_held(sfem_body *b)
 {
-    sfem_int i, k;
-    int l;
+    sfem_int i, k, l;
     for (k = 0; k < b->rotated.pieces; ++k) b->rotated.piece[k].held = 0;
     for (i = 0; i < b->pin_count; ++i)
         if (b->rotated.piece_of[b->pin[i]] >= 0) b->rotated.piece[b->rotated.piece_of[b->pin[i]]].held = 1;
-    for (i = 0; i < b->def.max_handles; ++i)
-        for (l = 0; b->state.handle[i].used && l < 4; ++l)
-            if (b->state.handle[i].weight[l] != 0)
-                b->rotated.piece[b->rotated.piece_of[b->state.handle[i].node[l]]].held = 1;
+    for (i = 0; i < b->def.max_handles; ++i) {
+        const sfemi_region r = sfemi_region_of(&b->state, i);
+        for (l = 0; b->state.handle[i].used && l < r.count; ++l)
+            if (r.weight[l] != 0 && b->rotated.piece_of[r.node[l]] >= 0)
+                b->rotated.piece[b->rotated.piece_of[r.node[l]]].held = 1;
+    }
 }
 
 /* The nodes [first, end) that follow each other in one free piece: from first on, or *end is the number of
@@ -21825,6 +25171,41 @@ static void sfemi_rotated_piece_frames(sfem_body *b, sfem_real *frame)
     }
 }
 
+/* The nodes of a handle, and of handles that share nodes, get one frame, that of their weighted mean, so that
+ * A^-1 H^T = Q A0^-1 Q^T H^T is Q A0^-1 H^T Q_h^T: three columns serve whatever rotates. Where one of them is held on
+ * some axes only, its frame, which is that at rest. Frames that are one already stay, to the bit. */
+static void sfemi_rotated_share_frames(const sfem_body *b, sfem_real *frame)
+{
+    const sfemi_schur *g = &b->schur;
+    sfem_int i, j, p;
+    int c;
+    for (i = 0; i < b->def.max_handles; ++i) {
+        sfem_real sum[9] = {0, 0, 0, 0, 0, 0, 0, 0, 0}, volume = 0;
+        const sfem_real *one = NULL, *fixed = NULL;
+        int differ = 0;
+        if (!b->state.handle[i].used || g->group[i] != i) continue;
+        for (j = i; j < b->def.max_handles; ++j) {
+            const sfemi_region r = sfemi_region_of(&b->state, j);
+            for (p = 0; b->state.handle[j].used && g->group[j] == i && p < r.count; ++p) {
+                const sfem_real *q = frame + 9 * (size_t)r.node[p], w = fabs(r.weight[p]);
+                if (r.weight[p] == 0) continue;
+                if (!one) one = q;
+                if (b->mask[r.node[p]] != 0 && b->mask[r.node[p]] != SFEM_AXIS_ALL) fixed = q;
+                differ |= memcmp(q, one, 9 * sizeof *q) != 0;
+                for (c = 0; c < 9; ++c) sum[c] += w * q[c];
+                volume += w;
+            }
+        }
+        if (!differ) continue;
+        if (fixed || !sfemi_rotated_polar(sum, volume, sum)) memcpy(sum, fixed ? fixed : one, sizeof sum);
+        for (j = i; j < b->def.max_handles; ++j) {
+            const sfemi_region r = sfemi_region_of(&b->state, j);
+            for (p = 0; b->state.handle[j].used && g->group[j] == i && p < r.count; ++p)
+                if (r.weight[p] != 0) memcpy(frame + 9 * (size_t)r.node[p], sum, sizeof sum);
+        }
+    }
+}
+
 /* Q where forces were last computed; where it is not determined, and at nodes that are held on some axes
  * only, it stays as it was. */
 static void sfemi_rotated_frames(sfem_body *b, sfem_real *frame)
@@ -21833,34 +25214,13 @@ static void sfemi_rotated_frames(sfem_body *b, sfem_real *frame)
     if (b->def.frame == SFEM_FRAME_REST || b->def.frame == SFEM_FRAME_ISOTROPIC || !b->model->rotates) return;
     if (b->def.frame == SFEM_FRAME_PIECE) {
         sfemi_rotated_piece_frames(b, frame);
-        return;
+    } else {
+        job.body = b;
+        job.frame = frame;
+        job.kernel = sfemi_polars_path[sfemi_path()];
+        sfemi_run(&b->exec, (b->model->mesh.nodes - 1) / SFEMI_NODE_TASK + 1, sfemi_rotated_some_frames, &job);
     }
-    job.body = b;
-    job.frame = frame;
-    job.kernel = sfemi_polars_pick();
-    sfemi_run(&b->exec, (b->model->mesh.nodes - 1) / SFEMI_NODE_TASK + 1, sfemi_rotated_some_frames, &job);
-}
-
-/* y += (K_frac - K) z, small strain about rest. */
-static void sfemi_fracture_multiply(const sfem_body *b, const sfem_real *z, sfem_real *y)
-{
-    const sfem_model *model = b->model;
-    sfem_int k;
-    int a, c;
-    for (k = 0; k < b->damage->tets; ++k) {
-        const sfem_int e = b->damage->tet[k], *t = model->mesh.tet + 4 * (size_t)e;
-        sfem_real x[12], u[12], f[12];
-        sfem_damage_tet tet;
-        for (a = 0; a < 4; ++a) {
-            memcpy(x + 3 * a, model->mesh.x + 3 * (size_t)t[a], 3 * sizeof *x);
-            memcpy(u + 3 * a, z + 3 * (size_t)t[a], 3 * sizeof *u);
-        }
-        sfem_damage_prepare(x, model->lambda[e], model->mu[e], &tet);
-        for (a = 0; a < 36; ++a) tet.s[a] = b->damage->s[36 * (size_t)e + (size_t)a] - tet.s[a];
-        (void)sfem_damage_energy(&tet, tet.s, 1, u, SFEM_TANGENT_EXACT, f, NULL);
-        for (a = 0; a < 4; ++a)
-            for (c = 0; c < 3; ++c) y[3 * (size_t)t[a] + (size_t)c] += f[3 * a + c];
-    }
+    sfemi_rotated_share_frames(b, frame);
 }
 
 /* sum = (K - what stands for it in A) z of smooth tets. */
@@ -21883,7 +25243,7 @@ static void sfemi_fracture_soften(sfem_body *b, sfem_real *z, sfem_real *y)
     const int projects = sfemi_rotated_projects(b);
     sfem_real *sum = b->rotated.v;
     size_t i;
-    if (!b->model->smooth && (!b->damage || !b->damage->tets)) return;
+    if (!b->model->smooth && !sfemi_damage_tets(b->damage)) return;
     if (projects) {
         sfemi_rotated_motion(b, u, z, 1);
         sfemi_rotated_add_motion(b, u, -1, 0, z);
@@ -21891,7 +25251,7 @@ static void sfemi_fracture_soften(sfem_body *b, sfem_real *z, sfem_real *y)
     sfemi_rotated_rotate(frame, nodes, 1, z, z);
     memset(sum, 0, 3 * (size_t)nodes * sizeof *sum);
     if (b->model->smooth) sfemi_fracture_smooth(b, z, sum);
-    else sfemi_fracture_multiply(b, z, sum);
+    else sfemi_damage_multiply(b->damage, z, sum);
     if (b->refactor.live && !b->model->smooth) { /* what was left when the factor was made is out already */
         sfem_real *kz = b->safeguard.trial_f;
         sfem_matrix_multiply(&b->model->stiffness, z, kz, &b->exec);
@@ -21910,18 +25270,11 @@ static void sfemi_fracture_soften(sfem_body *b, sfem_real *z, sfem_real *y)
 /* Room for the columns of handle `slot`, where it is used or may not allocate later. */
 static sfem_status sfemi_schur_reserve(sfem_body *b, sfemi_schur *g, sfem_int slot, sfem_error *err)
 {
-    const sfemi_handle *h = b->state.handle + slot;
     sfem_status status = SFEM_OK;
-    sfem_int parts = !b->def.may_allocate ? (b->scheme.rotates ? 4 : 1) : 0, k, used = 0;
     sfem_real *y;
-    for (k = 0; h->used && k < 4; ++k) used += h->weight[k] != 0;
-    if (used > 0 && !b->scheme.rotates) used = 1;
-    if (used > parts) parts = used;
-    if (parts <= g->parts[slot]) return SFEM_OK;
-    SFEMI_NEW(sfem_real, y, &b->allocator, 9 * (size_t)parts * (size_t)b->model->mesh.nodes);
-    sfemi_delete(&b->allocator, g->y[slot]);
+    if (g->y[slot] || !(b->state.handle[slot].used || !b->def.may_allocate)) return SFEM_OK;
+    SFEMI_NEW(sfem_real, y, &b->allocator, 9 * (size_t)b->model->mesh.nodes);
     g->y[slot] = y;
-    g->parts[slot] = parts;
     g->ready[slot] = 0;
 done:
     return status;
@@ -21972,7 +25325,7 @@ done:
 static int sfemi_resume_bounded(const sfem_body *b)
 {
     if (b->model->smooth && !b->scheme.newmark) return 1;
-    return b->scheme.rotates && (b->damage->tets > 0 || b->refactor.live || b->def.frame == SFEM_FRAME_ISOTROPIC);
+    return b->scheme.rotates && (sfemi_damage_tets(b->damage) > 0 || b->refactor.live || b->def.frame == SFEM_FRAME_ISOTROPIC);
 }
 
 /* Does the projection of free pieces change B, so that it is not at hand? See 6. */
@@ -21988,9 +25341,9 @@ static int sfemi_resume_falls_back(const sfem_body *b, sfem_real h)
            b->state.head->started == SFEMI_RUNNING && b->state.head->h != h && sfemi_resume_inertia_is_unknown(b);
 }
 
-/* B = k K + bound (K in A) + m M + d (rest of D). */
+/* B = k K + bound (K in A) + m M + d (rest of D) + hand H^T H of handles that yield. */
 typedef struct sfemi_inertia {
-    sfem_real k, bound, m, d;
+    sfem_real k, bound, m, d, hand;
 } sfemi_inertia;
 
 static sfemi_inertia sfemi_resume_inertia(const sfem_body *b, sfem_real h, sfem_real p)
@@ -22001,7 +25354,56 @@ static sfemi_inertia sfemi_resume_inertia(const sfem_body *b, sfem_real h, sfem_
     t.m = b->scheme.r + t.d * b->alpha;
     t.bound = p * h * h + t.d * b->beta;
     t.k = newmark ? -b->def.gamma / 2 * h * h : -h * h / 4;
+    t.hand = 0;
     return t;
+}
+
+/* Has this handle pulled as a spring in the last step, and not at its limit? */
+static int sfemi_resume_springs(const sfem_body *b, sfem_int k)
+{
+    const sfemi_handle *h = b->state.handle + k;
+    const sfem_real most = b->spring.most * (1 - 1e-9);
+    return b->spring.c > 0 && h->used && h->path.age > 0 && !(most > 0 && sfemi_dot3(h->force, h->force) >= most * most);
+}
+
+/* y += hand H^T H x */
+static void sfemi_resume_add_springs(const sfem_body *b, sfem_real hand, const sfem_real *x, sfem_real *y)
+{
+    sfem_int k;
+    int c;
+    for (k = 0; hand > 0 && k < b->def.max_handles; ++k) {
+        const sfemi_region r = sfemi_region_of(&b->state, k);
+        sfem_real l[3];
+        if (!sfemi_resume_springs(b, k)) continue;
+        sfemi_schur_mean(&r, x, l);
+        for (c = 0; c < 3; ++c) l[c] *= hand;
+        sfemi_schur_spread(&r, l, b->mask, y);
+    }
+}
+
+/* What handles that yield do in the second half of the last step, of `half` seconds, to r, N s: at their limit their
+ * force goes on; else l = (t' - x - half H v)/C', v being what is sought, whose part goes to B. */
+static void sfemi_resume_pull(sfem_body *b, sfem_real half, sfemi_inertia *t, sfem_real *r)
+{
+    const sfemi_state *s = &b->state;
+    const sfem_real soft = sfemi_spring_compliance(&b->spring, half);
+    sfem_int k;
+    int c;
+    for (k = 0; b->spring.c > 0 && k < b->def.max_handles; ++k) {
+        const sfemi_region hand = sfemi_region_of(s, k);
+        sfem_real x[3], w[3], l[3];
+        if (!s->handle[k].used || s->handle[k].path.age == 0) continue;
+        memcpy(l, s->handle[k].force, sizeof l);
+        if (sfemi_resume_springs(b, k)) {
+            sfem_body_handle_position(b, k, x);
+            sfemi_schur_mean(&hand, s->w, w);
+            sfemi_spring_goal(&b->spring, s->handle[k].path.past, x, half, l);
+            for (c = 0; c < 3; ++c) l[c] = (l[c] - x[c] - half * w[c]) / soft;
+            t->hand = half * half / soft;
+        }
+        for (c = 0; c < 3; ++c) l[c] *= half;
+        sfemi_schur_spread(&hand, l, b->mask, r);
+    }
 }
 
 /* y = B x; x and y apart. */
@@ -22022,10 +25424,11 @@ static void sfemi_resume_multiply(sfem_body *b, const sfemi_inertia *t, const sf
     for (i = 0; i < n; ++i) y[i] *= own;
     if (bounded) {
         sfem_model_multiply_stiffness(model, x, z, &b->exec);
-        if (b->damage) sfemi_fracture_multiply(b, x, z);
+        if (b->damage) sfemi_damage_multiply(b->damage, x, z);
         for (i = 0; i < n; ++i) y[i] += t->k * z[i];
     }
     sfemi_fem_add_mass(model, t->m, x, y);
+    sfemi_resume_add_springs(b, t->hand, x, y);
     if (t->d == 0 || !model->damping) return;
     for (i = 0; i < n; ++i) z[i] = t->d * x[i];
     sfemi_fem_add_damping_rest(model, z, y);
@@ -22036,7 +25439,7 @@ static void sfemi_resume_still(sfem_body *b, sfem_real *x)
 {
     if (!b->schur.count) return;
     memset(b->schur.lambda, 0, 3 * (size_t)b->schur.count * sizeof *b->schur.lambda);
-    sfemi_schur_project(&b->schur, b->state.handle, b->model, b->mask, x);
+    sfemi_schur_project(&b->schur, &b->state, b->model, b->mask, x);
 }
 
 /* r = P^T r, z = P A^-1 r, P taking out held axes and the handles' motion; M in place of A without a factor. */
@@ -22097,7 +25500,7 @@ static void sfemi_resume_mean_force(sfem_body *b)
         if (b->zd) b->zd[i] = s->w[i];
         b->acc[i] = 0;
     }
-    if (b->scheme.rotates && b->beta != 0) sfemi_fracture_multiply(b, b->zk, b->acc);
+    if (b->scheme.rotates && b->beta != 0) sfemi_damage_multiply(b->damage, b->zk, b->acc);
     sfemi_body_residual(b, load, b->alpha != 0);
     for (i = 0; b->scheme.rotates && i < n; ++i) b->rhs[i] -= (s->f[i] + s->f_past[i]) / 2 + b->acc[i];
 }
@@ -22106,7 +25509,7 @@ static void sfemi_resume_mean_force(sfem_body *b)
 static void sfemi_resume_velocity(sfem_body *b, sfem_real *v)
 {
     const sfemi_state *s = &b->state;
-    const sfemi_inertia t = sfemi_resume_inertia(b, s->head->h, s->head->p);
+    sfemi_inertia t = sfemi_resume_inertia(b, s->head->h, s->head->p);
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     const sfem_real half = s->head->h / 2;
     sfem_real *r = b->rhs, *change = b->spare;
@@ -22116,13 +25519,14 @@ static void sfemi_resume_velocity(sfem_body *b, sfem_real *v)
     sfemi_resume_mean_force(b);
     for (i = 0; i < n; ++i) v[i] = s->w[i] + (b->mask[i / 3] >> (i % 3) & 1 ? half * s->a[i] : 0);
     for (k = 0; k < b->schur.count; ++k) {
+        const sfemi_region hand = sfemi_region_of(s, b->schur.slot[k]);
         sfem_real w[3], a[3];
-        sfemi_schur_mean(s->handle + b->schur.slot[k], s->w, w);
-        sfemi_schur_mean(s->handle + b->schur.slot[k], s->a, a);
+        sfemi_schur_mean(&hand, s->w, w);
+        sfemi_schur_mean(&hand, s->a, a);
         for (c = 0; c < 3; ++c) /* new ones stop what they take */
             b->schur.lambda[3 * k + c] = s->handle[b->schur.slot[k]].path.age > 0 ? w[c] + half * a[c] : 0;
     }
-    if (b->schur.count) sfemi_schur_project(&b->schur, s->handle, b->model, b->mask, v);
+    if (b->schur.count) sfemi_schur_project(&b->schur, s, b->model, b->mask, v);
     for (i = 0; i < n; ++i) {
         r[i] *= half;
         change[i] = v[i] - s->w[i];
@@ -22132,7 +25536,8 @@ static void sfemi_resume_velocity(sfem_body *b, sfem_real *v)
         sfemi_resume_multiply(b, &t, change, b->spare + n);
         for (i = 0; i < n; ++i) r[i] -= b->spare[n + i];
     }
-    if (t.bound + t.k == 0 && t.d == 0 && !sfemi_resume_bounded(b)) {
+    sfemi_resume_pull(b, half, &t, r);
+    if (t.bound + t.k == 0 && t.d == 0 && t.hand == 0 && !sfemi_resume_bounded(b)) {
         sfemi_body_mass_solve(b, change);
         for (i = 0; i < n; ++i) v[i] += change[i] / t.m;
     } else {
@@ -22146,11 +25551,11 @@ static void sfemi_resume_gather(sfem_body *b)
 {
     sfemi_schur *g = &b->schur;
     sfem_int k;
-    if (!g->dirty) return;
+    if (!g->dirty || b->spring.c > 0) return;
     g->count = 0;
     for (k = 0; k < b->def.max_handles; ++k)
         if (b->state.handle[k].used) g->slot[g->count++] = k;
-    sfemi_schur_gather(g, b->state.handle, b->model, 1, b->mask);
+    sfemi_schur_gather(g, &b->state, b->model, 1, b->mask);
 }
 
 /* Newmark's M v = m to x = B^-1 m: the v of (p,q,r). */
@@ -22164,14 +25569,15 @@ static void sfemi_resume_newmark(sfem_body *b, const sfemi_inertia *t, sfem_real
     for (i = 0; i < n; ++i) x[i] = b->mask[i / 3] >> (i % 3) & 1 ? s->w[i] : 0;
     for (k = 0; k < b->schur.count; ++k) {
         const sfemi_target *path = &s->handle[b->schur.slot[k]].path;
+        const sfemi_region hand = sfemi_region_of(s, b->schur.slot[k]);
         sfem_real at[3], w[3];
         sfem_body_handle_position(b, b->schur.slot[k], at);
-        sfemi_schur_mean(s->handle + b->schur.slot[k], s->w, w);
+        sfemi_schur_mean(&hand, s->w, w);
         if (s->head->started != SFEMI_RUNNING) /* something has been let go since: w is not the velocity here */
             for (c = 0; c < 3; ++c) w[c] = (at[c] - path->past[c]) / s->head->h;
         for (c = 0; c < 3; ++c) b->schur.lambda[3 * k + c] = path->age > 0 ? w[c] : 0;
     }
-    if (b->schur.count) sfemi_schur_project(&b->schur, s->handle, b->model, b->mask, x);
+    if (b->schur.count) sfemi_schur_project(&b->schur, s, b->model, b->mask, x);
     sfemi_resume_multiply(b, t, x, b->spare);
     sfem_model_multiply_mass(b->model, s->w, b->acc, &b->exec);
     for (i = 0; i < n; ++i) b->acc[i] -= b->spare[i];
@@ -22192,10 +25598,11 @@ static void sfemi_resume_lead(sfem_body *b, sfem_real h)
         }
     for (k = 0; k < b->schur.count; ++k) {
         sfemi_handle *hand = s->handle + b->schur.slot[k];
+        const sfemi_region r = sfemi_region_of(s, b->schur.slot[k]);
         sfem_real w[3], a[3];
         sfem_body_handle_position(b, b->schur.slot[k], hand->path.target);
-        sfemi_schur_mean(hand, s->w, w);
-        sfemi_schur_mean(hand, s->a, a);
+        sfemi_schur_mean(&r, s->w, w);
+        sfemi_schur_mean(&r, s->a, a);
         for (c = 0; c < 3; ++c) hand->path.target[c] += h * (w[c] + d * a[c]);
     }
 }
@@ -22213,7 +25620,7 @@ static void sfemi_resume_between(sfem_body *b, sfem_real h, sfem_real *v)
     sfemi_pqr_weigh(b, h);
     for (g->count = k = 0; k < count; ++k)
         if (b->state.handle[g->slot[k]].path.age > 0) g->slot[g->count++] = g->slot[k];
-    if (g->count < count) sfemi_schur_gather(g, b->state.handle, b->model, 0, b->mask);
+    if (g->count < count) sfemi_schur_gather(g, &b->state, b->model, 0, b->mask);
     sfemi_pqr_predict(b);
     sfemi_factor_solve(b->factor, b->model->mesh.nodes, 1, b->rhs, b->acc, b->workspace->work, &b->exec);
     sfemi_pqr_solve(b);
@@ -22221,7 +25628,7 @@ static void sfemi_resume_between(sfem_body *b, sfem_real h, sfem_real *v)
     if (g->count == count) return;
     for (g->count = k = 0; k < b->def.max_handles; ++k)
         if (b->state.handle[k].used) g->slot[g->count++] = k;
-    sfemi_schur_gather(g, b->state.handle, b->model, 0, b->mask);
+    sfemi_schur_gather(g, &b->state, b->model, 0, b->mask);
 }
 
 /* The same, what holds going on as it has: before a change nobody has told where it would have gone. */
@@ -22250,6 +25657,7 @@ static void sfemi_resume_stop(sfem_body *b, int pins)
     sfem_real *v;
     size_t i;
     if (s->head->started != SFEMI_RUNNING || !(b->scheme.resumes || newmark)) return;
+    if (b->spring.c > 0 && newmark && !pins && sfemi_spring_is_impulse(b)) return; /* its a has nothing of them */
     b->phase = SFEMI_IDLE;
     b->step.fresh = 0;
     if (!b->scheme.resumes) { /* Newton's: its a is stale, too */
@@ -22314,8 +25722,10 @@ static void sfemi_resume_stand(sfem_body *b, sfem_real *v)
     size_t i;
     sfemi_resume_gather(b);
     memcpy(m, v, n * sizeof *m);
-    for (k = 0; k < b->schur.count; ++k)
-        sfemi_schur_mean(b->state.handle + b->schur.slot[k], m, b->schur.lambda + 3 * k);
+    for (k = 0; k < b->schur.count; ++k) {
+        const sfemi_region r = sfemi_region_of(&b->state, b->schur.slot[k]);
+        sfemi_schur_mean(&r, m, b->schur.lambda + 3 * k);
+    }
     for (i = 0; i < n; ++i)
         if (b->mask[i / 3] >> (i % 3) & 1) v[i] = 0;
     sfemi_body_project(b, m, v);
@@ -22364,6 +25774,7 @@ static void sfemi_resume_rescale(sfem_body *b, const sfemi_inertia *from, const 
     less.bound = from->bound - to->bound;
     less.m = from->m - to->m;
     less.d = from->d - to->d;
+    less.hand = 0;
     memset(out, 0, n * sizeof *out);
     if (change < 0) {
         sfemi_resume_multiply(b, &less, v, b->acc);
@@ -22468,7 +25879,17 @@ static void sfemi_resume_bridge_constrain(sfem_body *b, sfem_real *a)
 {
     if (!b->schur.count) return;
     memset(b->schur.lambda, 0, 3 * (size_t)b->schur.count * sizeof *b->schur.lambda);
-    sfemi_schur_apply(&b->schur, b->state.handle, b->model->mesh.nodes, a);
+    sfemi_schur_apply(&b->schur, &b->state, b->model->mesh.nodes, a);
+}
+
+/* Handles that yield: a force of the first stage, by where that ends, h (v + g h a). */
+static void sfemi_resume_bridge_pull(sfem_body *b, sfem_real *a)
+{
+    const sfem_real h = b->step.h;
+    size_t i;
+    if (!b->schur.springs) return;
+    for (i = 0; i < 3 * (size_t)b->model->mesh.nodes; ++i) b->zk[i] = b->state.u[i] + h * b->velocity[i];
+    sfemi_spring_step(b, b->zk, sqrt(b->p) * h * h, 1, a);
 }
 
 /* a = T's part of it, from a = A^-1 (..), with the handles held. D has g h in place of q h/2 there: one iteration,
@@ -22554,7 +25975,7 @@ static void sfemi_resume_lessen(const sfem_body *b, sfem_real *rhs)
 }
 
 /* ============================================================================================
- * >>safeguard   (p,q,r) for bodies that rotate: trial, corrections, energy safeguard; breaking
+ * >>safeguard   (p,q,r) for bodies that rotate: trial, corrections, energy safeguard
  *
  * 1. A trial step of one solve (>>rotated), then corrections of it by L-BFGS.
  * 2. Two energies of the step, v_r and L_r being w' and the loads L without what moves the centre of mass of a free
@@ -22645,7 +26066,7 @@ static sfem_real sfemi_safeguard_forces(sfem_body *b, const sfem_real *u, sfem_r
     ask.force = f;
     ask.work = b->rotated.work;
     ask.exec = &b->exec;
-    if (b->damage && b->damage->tets && !b->model->rotates) { /* linear: damaged less intact, from the intact force */
+    if (sfemi_damage_tets(b->damage) && !b->model->rotates) { /* linear: damaged less intact, from the intact force */
         const sfem_real psi = sfem_model_forces(b->model, u, SFEM_DOUBLE, f, NULL, NULL, b->rotated.work, &b->exec);
         return psi + sfemi_damage_forces(b->damage, &ask);
     }
@@ -22685,74 +26106,90 @@ static void sfemi_safeguard_refresh(sfem_body *b, sfem_real h)
     head->rebase = SFEMI_LEDGER;
 }
 
-/* In a rotated body every node has a frame of its own, so a handle has three columns for each of its nodes,
- * in the rest pose; S = H Q Y0 Q^T H^T is put together anew each step. */
+/* The frame that the nodes of a handle share. */
+static const sfem_real *sfemi_safeguard_hand_frame(const sfemi_region *r, const sfem_real *frame)
+{
+    sfem_int k;
+    for (k = 0; k < r->count - 1 && r->weight[k] == 0;) ++k;
+    return frame + 9 * (size_t)r->node[k];
+}
+
+/* In a rotated body Y is Q Y0 Q_h^T, Y0 in the rest pose and Q_h the frame that the handle's nodes share, and
+ * S = H Y is put together anew each step. */
 static void sfemi_safeguard_gather(sfem_body *b, sfemi_schur *g, const sfem_real *frame)
 {
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
-    const sfem_int size = 3 * g->count;
+    const sfem_int size = 3 * sfemi_schur_rows(g);
     sfem_int i, j;
-    int k, l, part, r, c, m;
+    int c, m;
     memset(g->s, 0, (size_t)size * (size_t)size * sizeof *g->s);
-    for (i = 0; i < g->count; ++i) {
-        const sfemi_handle *hi = b->state.handle + g->slot[i];
+    g->shift = -1;
+    for (i = 0; i < sfemi_schur_rows(g); ++i) {
+        const sfemi_region ri = sfemi_region_of(&b->state, g->slot[i]);
         for (j = 0; j <= i; ++j) {
-            const sfemi_handle *hj = b->state.handle + g->slot[j];
-            for (k = 0; k < 4; ++k)
-                for (l = 0, part = 0; l < 4; ++l) {
-                    const sfem_real *y, *qk, *ql;
-                    sfem_real block[9], turned[9], both[9];
-                    if (hj->weight[l] == 0) continue;
-                    y = g->y[g->slot[j]] + 3 * n * (size_t)part++;
-                    if (hi->weight[k] == 0) continue;
-                    for (r = 0; r < 3; ++r)
-                        for (c = 0; c < 3; ++c)
-                            block[3 * r + c] = y[(size_t)c * n + 3 * (size_t)hi->node[k] + (size_t)r];
-                    qk = frame + 9 * (size_t)hi->node[k];
-                    ql = frame + 9 * (size_t)hj->node[l];
-                    sfemi_mul3(qk, block, turned);
-                    sfemi_mul3_nt(turned, ql, both);
-                    for (m = 0; m < 9; ++m)
-                        g->s[(3 * i + m / 3) * size + 3 * j + m % 3] += hi->weight[k] * hj->weight[l] * both[m];
-                }
+            const sfemi_region rj = sfemi_region_of(&b->state, g->slot[j]);
+            sfem_real mean[3], block[9], turned[9], both[9];
+            for (c = 0; c < 3; ++c) {
+                sfemi_schur_mean(&ri, g->y[g->slot[j]] + (size_t)c * n, mean);
+                for (m = 0; m < 3; ++m) block[3 * m + c] = mean[m];
+            }
+            sfemi_mul3(sfemi_safeguard_hand_frame(&ri, frame), block, turned);
+            sfemi_mul3_nt(turned, sfemi_safeguard_hand_frame(&rj, frame), both);
+            for (m = 0; m < 9; ++m) g->s[(3 * i + m / 3) * size + 3 * j + m % 3] += both[m];
         }
     }
-    sfemi_small_factor(g->s, size, size);
+    if (!g->springs) sfemi_small_factor(g->s, size, size);
 }
 
-/* l = S^-1 (c - H a), a += Q Y0 Q^T l, where g->lambda comes in as c. */
-static void sfemi_safeguard_apply_handles(sfem_body *b, sfemi_schur *g, const sfem_real *frame, sfem_real *a)
+/* a += Q Y0 Q_h^T l. */
+static void sfemi_safeguard_add_columns(sfem_body *b, const sfemi_schur *g, const sfem_real *frame, sfem_real *a)
 {
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     sfem_real *y = b->rotated.v;
     sfem_int i;
     size_t k;
-    int c, l;
-    if (!g->count) return;
-    sfemi_safeguard_gather(b, g, frame);
-    for (i = 0; i < g->count; ++i) {
-        sfem_real mean[3];
-        sfemi_schur_mean(b->state.handle + g->slot[i], a, mean);
-        for (c = 0; c < 3; ++c) g->lambda[3 * i + c] -= mean[c];
-    }
-    sfemi_small_solve(g->s, 3 * g->count, 3 * g->count, g->lambda, 1);
+    int c;
     memset(y, 0, n * sizeof *y);
-    for (i = 0; i < g->count; ++i) {
-        const sfemi_handle *h = b->state.handle + g->slot[i];
+    for (i = 0; i < sfemi_schur_rows(g); ++i) {
+        const sfemi_region r = sfemi_region_of(&b->state, g->slot[i]);
+        const sfem_real *q = sfemi_safeguard_hand_frame(&r, frame), *lambda = g->lambda + 3 * i;
         const sfem_real *column = g->y[g->slot[i]];
-        for (l = 0; l < 4; ++l) {
-            const sfem_real *q = frame + 9 * (size_t)h->node[l], *lambda = g->lambda + 3 * i;
-            if (h->weight[l] == 0) continue;
-            for (c = 0; c < 3; ++c, column += n) {
-                const sfem_real f =
-                    h->weight[l] * (q[c] * lambda[0] + q[3 + c] * lambda[1] + q[6 + c] * lambda[2]);
-                for (k = 0; k < n; ++k) y[k] += f * column[k];
-            }
+        for (c = 0; c < 3; ++c, column += n) {
+            const sfem_real f = q[c] * lambda[0] + q[3 + c] * lambda[1] + q[6 + c] * lambda[2];
+            for (k = 0; k < n; ++k) y[k] += f * column[k];
         }
     }
     sfemi_rotated_rotate(frame, b->model->mesh.nodes, 0, y, y);
     for (k = 0; k < n; ++k)
         if (!(b->mask[k / 3] >> (k % 3) & 1)) a[k] += y[k];
+}
+
+/* l = S^-1 (c - H a), a += Q Y0 Q_h^T l, where g->lambda comes in as c. */
+static void sfemi_safeguard_apply_handles(sfem_body *b, sfemi_schur *g, const sfem_real *frame, sfem_real *a)
+{
+    sfem_int i;
+    int c;
+    if (!g->count) return;
+    sfemi_safeguard_gather(b, g, frame);
+    for (i = 0; i < g->count; ++i) {
+        const sfemi_region r = sfemi_region_of(&b->state, g->slot[i]);
+        sfem_real mean[3];
+        sfemi_schur_mean(&r, a, mean);
+        for (c = 0; c < 3; ++c) g->lambda[3 * i + c] -= mean[c];
+    }
+    sfemi_small_solve(g->s, 3 * g->count, 3 * g->count, g->lambda, 1);
+    sfemi_safeguard_add_columns(b, g, frame, a);
+}
+
+/* a += Y l of handles that yield, where the step ends at u + scale a; lambda = l. */
+static void sfemi_safeguard_pull(sfem_body *b, const sfem_real *u, sfem_real scale, const sfem_real *frame, sfem_real *a)
+{
+    sfemi_schur *g = &b->schur;
+    if (!g->springs) return;
+    sfemi_safeguard_gather(b, g, frame);
+    sfemi_spring_right_side(b, u, scale, a);
+    sfemi_spring_solve(g, sfemi_spring_compliance(&b->spring, b->step.h) / scale, b->spring.most);
+    sfemi_safeguard_add_columns(b, g, frame, a);
 }
 
 /* b->base as in sfemi_alpha_predict, in the rotated frames. */
@@ -22917,6 +26354,7 @@ static void sfemi_safeguard_predict(sfem_body *b)
     sfem_int j;
     size_t i;
     sfemi_safeguard_refresh(b, h);
+    sfemi_rotated_share_frames(b, s->frame); /* handles may have been taken since */
     force = sfemi_correct_forecast(b);
     if (force != s->f) t.ck = 0;
     if (b->step.starts_from_mass) t.cd -= b->scheme.q; /* A w' = r M w + ..; the rest of A w is left out */
@@ -23006,8 +26444,9 @@ static void sfemi_safeguard_try(sfem_body *b)
     if (b->step.starts_from_mass) sfemi_safeguard_subtract_velocity(b, 1 / t.d, x);
     for (i = 0; i < n; ++i)
         if (!(b->mask[i / 3] >> (i % 3) & 1)) b->acc[i] = x[i];
+    for (i = 0; sfemi_schur_rows(&b->schur) && i < n; ++i) b->zk[i] = b->state.u[i] + h * base[i];
+    sfemi_safeguard_pull(b, b->zk, h * t.d / (1 - t.am), b->state.frame, b->acc);
     if (b->schur.count) {
-        for (i = 0; i < n; ++i) b->zk[i] = b->state.u[i] + h * base[i];
         sfemi_body_handle_gap(b, &b->schur, b->zk, h * t.d / (1 - t.am));
         sfemi_safeguard_apply_handles(b, &b->schur, b->state.frame, b->acc);
     }
@@ -23102,15 +26541,15 @@ static sfem_real sfemi_safeguard_step_work(const sfem_body *b, sfem_real back)
     const sfemi_step t = b->step;
     const int loads = s->head->loaded && s->head->load_age < 2;
     sfem_real work = sfemi_safeguard_outer_work(b, .5, back, loads ? t.load[0] : 0, loads ? t.load[2] : 0);
-    sfem_int k;
+    sfem_int k, l;
     size_t i;
-    int l, c;
-    for (k = 0; k < b->schur.count; ++k) {
-        const sfemi_handle *h = s->handle + b->schur.slot[k];
-        for (l = 0; l < 4; ++l)
-            for (c = 0; h->weight[l] != 0 && c < 3; ++c) {
-                i = 3 * (size_t)h->node[l] + (size_t)c;
-                work += b->schur.lambda[3 * k + c] * h->weight[l] * ((g->u[i] - s->u[i]) / 2 + back * s->w[i]);
+    int c;
+    for (k = 0; k < sfemi_schur_rows(&b->schur); ++k) {
+        const sfemi_region r = sfemi_region_of(s, b->schur.slot[k]);
+        for (l = 0; l < r.count; ++l)
+            for (c = 0; r.weight[l] != 0 && c < 3; ++c) {
+                i = 3 * (size_t)r.node[l] + (size_t)c;
+                work += b->schur.lambda[3 * k + c] * r.weight[l] * ((g->u[i] - s->u[i]) / 2 + back * s->w[i]);
             }
     }
     for (k = 0; k < b->pin_count; ++k)
@@ -23129,20 +26568,20 @@ static sfem_real sfemi_safeguard_held_work(const sfem_body *b)
 {
     const sfemi_safeguard *g = &b->safeguard;
     sfem_real work = 0;
-    sfem_int k;
-    int l, c;
+    sfem_int k, l;
+    int c;
     for (k = 0; k < b->pin_count; ++k)
         for (c = 0; c < 3; ++c) {
             const size_t at = 3 * (size_t)b->pin[k] + (size_t)c;
             if (!(b->mask[b->pin[k]] >> c & 1)) continue;
             work += g->f[at] * (g->u[at] - b->state.u[at]); /* what is held has no energy that is watched */
         }
-    for (k = 0; k < b->schur.count; ++k) {
-        const sfemi_handle *h = b->state.handle + b->schur.slot[k];
-        for (l = 0; l < 4; ++l)
-            for (c = 0; h->weight[l] != 0 && c < 3; ++c) {
-                const size_t at = 3 * (size_t)h->node[l] + (size_t)c;
-                work += b->schur.lambda[3 * k + c] * h->weight[l] * (g->u[at] - b->state.u[at]);
+    for (k = 0; k < sfemi_schur_rows(&b->schur); ++k) {
+        const sfemi_region r = sfemi_region_of(&b->state, b->schur.slot[k]);
+        for (l = 0; l < r.count; ++l)
+            for (c = 0; r.weight[l] != 0 && c < 3; ++c) {
+                const size_t at = 3 * (size_t)r.node[l] + (size_t)c;
+                work += b->schur.lambda[3 * k + c] * r.weight[l] * (g->u[at] - b->state.u[at]);
             }
     }
     return work;
@@ -23242,6 +26681,42 @@ static void sfemi_correct_add_damping(sfem_body *b, const sfemi_equation *q, con
     for (i = 0; i < n; ++i) out[i] += force[i];
 }
 
+/* t' - x of handles that yield, row by row, at the end of a step by w1, to l; with forces l itself. Returns their
+ * potential. */
+static sfem_real sfemi_correct_springs(sfem_body *b, const sfem_real *w1, int forces, sfem_real *l)
+{
+    sfemi_schur *g = &b->schur;
+    const sfem_real h = b->step.h;
+    sfem_real sum = 0;
+    sfem_int i;
+    int c;
+    for (i = 0; i < g->springs; ++i, l += 3) {
+        const sfemi_region r = sfemi_region_of(&b->state, g->slot[i]);
+        sfem_real rest[3], u[3], w[3], goal[3];
+        sfemi_schur_mean(&r, b->model->mesh.x, rest);
+        sfemi_schur_mean(&r, b->state.u, u);
+        sfemi_schur_mean(&r, w1, w);
+        for (c = 0; c < 3; ++c) rest[c] += u[c];
+        sfemi_spring_goal(&b->spring, b->state.handle[g->slot[i]].path.target, rest, h, goal);
+        for (c = 0; c < 3; ++c) l[c] = goal[c] - rest[c] - h * w[c];
+        if (forces) sum += sfemi_spring_force(&b->spring, h, l);
+    }
+    return sum;
+}
+
+/* out -= H^T l at w1. */
+static void sfemi_correct_take_springs(sfem_body *b, const sfem_real *w1, sfem_real *out)
+{
+    sfemi_schur *g = &b->schur;
+    sfem_int i;
+    (void)sfemi_correct_springs(b, w1, 1, g->lambda);
+    for (i = 0; i < g->springs; ++i) {
+        const sfemi_region r = sfemi_region_of(&b->state, g->slot[i]);
+        const sfem_real *l = g->lambda + 3 * i, back[3] = {-l[0], -l[1], -l[2]};
+        sfemi_schur_spread(&r, back, b->mask, out);
+    }
+}
+
 /* r of the equation at w1, whose forces are f1; 0 on held axes. */
 static void sfemi_correct_residual(sfem_body *b, const sfemi_equation *q, const sfem_real *w1,
                                    const sfem_real *f1, sfem_real *out)
@@ -23267,6 +26742,7 @@ static void sfemi_correct_residual(sfem_body *b, const sfemi_equation *q, const 
         sfemi_rotated_motion(b, b->state.u, out, 0);
         sfemi_rotated_add_motion(b, b->state.u, -1, 1, out);
     }
+    sfemi_correct_take_springs(b, w1, out); /* a piece that a handle holds is not free */
     for (i = 0; i < n; ++i)
         if (b->mask[i / 3] >> (i % 3) & 1) out[i] = 0;
 }
@@ -23375,6 +26851,32 @@ static void sfemi_correct_free(sfem_body *b, int force, sfem_real *x)
     }
 }
 
+/* x -= Y (S + C')^-1 H x, from x = A^-1 x to the inverse of A + H^T C'^-1 H, the second derivative of the potential
+ * with handles that yield. Of one at its limit C' is |g|/F, by which its force turns; along g it would not grow at
+ * all. */
+static void sfemi_correct_yield(sfem_body *b, const sfemi_equation *q, sfem_real *x)
+{
+    sfemi_schur *g = &b->schur;
+    const sfem_real soft = sfemi_spring_compliance(&b->spring, b->step.h);
+    sfem_int i;
+    int c;
+    if (!g->springs) return;
+    sfemi_safeguard_gather(b, g, b->safeguard.frame);
+    (void)sfemi_correct_springs(b, b->safeguard.w, 0, g->lambda);
+    for (i = 0; i < g->springs; ++i) {
+        const sfemi_region r = sfemi_region_of(&b->state, g->slot[i]);
+        sfem_real mean[3], *l = g->lambda + 3 * i;
+        g->shifts[i] = soft;
+        if (b->spring.most > 0) g->shifts[i] = fmax(soft, sqrt(sfemi_dot3(l, l)) / b->spring.most);
+        g->shifts[i] /= q->h * q->d;
+        sfemi_schur_mean(&r, x, mean);
+        for (c = 0; c < 3; ++c) l[c] = -mean[c];
+    }
+    sfemi_spring_factor(g, 0, g->shifts);
+    sfemi_small_solve(g->yield, 3 * g->springs, 3 * g->springs, g->lambda, 1);
+    sfemi_safeguard_add_columns(b, g, b->safeguard.frame, x);
+}
+
 /* x = d A^-1 x in the frames of the trial, leaving constraints alone. */
 static void sfemi_correct_precondition(sfem_body *b, const sfemi_equation *q, const sfem_factor *f, sfem_real *x)
 {
@@ -23395,6 +26897,7 @@ static void sfemi_correct_precondition(sfem_body *b, const sfemi_equation *q, co
         memset(b->schur.lambda, 0, 3 * (size_t)b->schur.count * sizeof *b->schur.lambda);
         sfemi_safeguard_apply_handles(b, &b->schur, b->safeguard.frame, x);
     }
+    sfemi_correct_yield(b, q, x);
     for (i = 0; i < n; ++i) x[i] *= q->d;
     ++b->state.head->solves;
 }
@@ -23477,9 +26980,32 @@ static void sfemi_correct_evaluate(sfem_body *b, const sfemi_equation *q)
     ++b->state.head->evaluations;
 }
 
+/* What the next one has to be corrected by for handles at their limit, whose potential is not quadratic. */
+static sfem_real sfemi_correct_slip(sfem_body *b, const sfemi_equation *q, const sfem_real *dir, sfem_real length)
+{
+    sfemi_schur *g = &b->schur;
+    const sfem_real h = b->step.h, most = b->spring.most * sfemi_spring_compliance(&b->spring, h);
+    sfem_real sum = 0;
+    sfem_int i;
+    int c;
+    if (!g->springs || most == 0) return 0;
+    (void)sfemi_correct_springs(b, b->safeguard.w, 0, g->lambda);
+    (void)sfemi_correct_springs(b, b->safeguard.trial_w, 0, g->place);
+    for (i = 0; i < g->springs; ++i) {
+        const sfemi_region r = sfemi_region_of(&b->state, g->slot[i]);
+        sfem_real *to = g->lambda + 3 * i, *from = g->place + 3 * i, mean[3];
+        if (sfemi_dot3(to, to) <= most * most && sfemi_dot3(from, from) <= most * most) continue;
+        sum -= sfemi_spring_force(&b->spring, h, to) / q->h;
+        sum += sfemi_spring_force(&b->spring, h, from) / q->h;
+        sfemi_schur_mean(&r, dir, mean);
+        for (c = 0; c < 3; ++c) sum += length / 2 * mean[c] * (to[c] + from[c]);
+    }
+    return sum;
+}
+
 /* By how much the potential of r is lower at `to` than at `from`, along the straight line between: exact, for
  * all but Psi is quadratic there. (Of a caller's damping, which may have none, the mean of both ends.) */
-static sfem_real sfemi_correct_fall(const sfem_body *b, const sfemi_equation *q, const sfem_real *dir,
+static sfem_real sfemi_correct_fall(sfem_body *b, const sfemi_equation *q, const sfem_real *dir,
                                     sfem_real length, sfem_real psi_from, sfem_real psi_to)
 {
     const sfemi_safeguard *g = &b->safeguard; /* trial: from, the others: to */
@@ -23488,7 +27014,7 @@ static sfem_real sfemi_correct_fall(const sfem_body *b, const sfemi_equation *q,
     size_t i;
     for (i = 0; i < n; ++i)
         sum += dir[i] * (g->grad[i] + g->trial_grad[i] - q->end * (g->f[i] + g->trial_f[i]));
-    return q->end / q->h * (psi_from - psi_to) + length / 2 * sum;
+    return q->end / q->h * (psi_from - psi_to) + length / 2 * sum + sfemi_correct_slip(b, q, dir, length);
 }
 
 /* Goes along dir by Armijo's rule, and, unless dir comes of an upper bound, not far beyond the least: where the
@@ -23509,6 +27035,7 @@ static sfem_real sfemi_correct_search(sfem_body *b, const sfemi_equation *q, sfe
             const sfem_real d = g->w[i] - b->state.w[i];
             most += b->model->node_mass[i / 3] * d * d / (2 * q->d);
         }
+        most += sfemi_correct_springs(b, g->w, 1, b->schur.lambda) / q->h;
         if (slope > 2 * most) length = 2 * most / slope; /* tets stretched a thousandfold are 1e12 times as stiff */
     }
     sfemi_correct_swap_trial(g);
@@ -23530,21 +27057,22 @@ static sfem_real sfemi_correct_search(sfem_body *b, const sfemi_equation *q, sfe
     return 0;
 }
 
-/* The multipliers of the handles that r leaves, in the mass norm. */
+/* The multipliers of the handles that r leaves, in the mass norm; the forces of those that yield. */
 static void sfemi_correct_find_handle_forces(sfem_body *b)
 {
     sfemi_schur *schur = &b->schur;
     const sfem_int k = schur->count;
-    sfem_int i;
-    int c, p;
+    sfem_int i, p;
+    int c;
+    (void)sfemi_correct_springs(b, b->safeguard.w, 1, schur->lambda);
     for (i = 0; i < k; ++i) {
-        const sfemi_handle *h = b->state.handle + schur->slot[i];
+        const sfemi_region r = sfemi_region_of(&b->state, schur->slot[i]);
         for (c = 0; c < 3; ++c) {
             schur->lambda[3 * i + c] = 0;
-            for (p = 0; p < 4; ++p)
-                if (h->weight[p] != 0)
-                    schur->lambda[3 * i + c] += h->weight[p] * b->safeguard.grad[3 * (size_t)h->node[p] + (size_t)c] /
-                                               b->model->node_mass[h->node[p]];
+            for (p = 0; p < r.count; ++p)
+                if (r.weight[p] != 0 && !(b->mask[r.node[p]] >> c & 1))
+                    schur->lambda[3 * i + c] += r.weight[p] * b->safeguard.grad[3 * (size_t)r.node[p] + (size_t)c] /
+                                               b->model->node_mass[r.node[p]];
         }
     }
     for (c = 0; c < 3; ++c) sfemi_small_solve(schur->wm + c * k * k, k, k, schur->lambda + c, 3);
@@ -23556,7 +27084,7 @@ static sfem_real sfemi_safeguard_excess(sfem_body *b)
     const sfemi_safeguard *g = &b->safeguard;
     const sfemi_state_head *head = b->state.head;
     const sfem_real ec = sfemi_safeguard_measure(b, g->u, g->w, g->f, g->psi, b->step.h).ec;
-    if (b->schur.count) sfemi_correct_find_handle_forces(b);
+    if (sfemi_schur_rows(&b->schur)) sfemi_correct_find_handle_forces(b);
     return ec - fmax(head->budget + 0.01 * head->scale, head->last) - sfemi_safeguard_fallback_work(b);
 }
 
@@ -23678,7 +27206,12 @@ static sfem_real sfemi_correct_rounding(const sfem_body *b, const sfemi_equation
         const sfem_real p[3] = {x[3 * i] + u[3 * i], x[3 * i + 1] + u[3 * i + 1], x[3 * i + 2] + u[3 * i + 2]};
         sum += k * k * sfemi_dot3(p, p) * inverse;
     }
-    return 1e-32 * q->h * q->d * sum;
+    sum *= q->h * q->d;
+    for (i = 0; i < b->schur.springs; ++i) {
+        const sfem_real *t = b->state.handle[b->schur.slot[i]].path.target;
+        sum += sfemi_dot3(t, t) / sfemi_spring_compliance(&b->spring, b->step.h);
+    }
+    return 1e-32 * sum;
 }
 
 /* From the trial in guard to the solution of the equation. A trial that is not finite is left to be rejected. */
@@ -23712,7 +27245,7 @@ static void sfemi_correct(sfem_body *b)
                                   head->started == SFEMI_RESTARTED ? AFTER_REJECTION : MOST, tolerance);
     if (cheap > 0 && first > 0)
         head->estimate = fmax(first / cheap, head->estimate > 0 ? 0.7 * head->estimate + 0.3 * first / cheap : 0);
-    if (b->schur.count) sfemi_correct_find_handle_forces(b);
+    if (sfemi_schur_rows(&b->schur)) sfemi_correct_find_handle_forces(b);
     for (i = 0; i < n; ++i) b->acc[i] = (g->w[i] - b->state.w[i]) / q.d;
 }
 
@@ -23877,10 +27410,10 @@ static void sfemi_safeguard_freeze(sfem_body *b, const sfemi_equation *q)
 static void sfemi_safeguard_find_columns(sfem_body *b, const sfem_factor *f)
 {
     sfem_int i;
-    for (i = 0; i < b->schur.count; ++i) {
+    for (i = 0; i < sfemi_schur_rows(&b->schur); ++i) {
         const sfem_int slot = b->schur.slot[i];
-        sfemi_schur_columns(f, b->state.handle + slot, b->model->mesh.nodes, 1, b->schur.y[slot], b->workspace->work,
-                            &b->exec);
+        const sfemi_region r = sfemi_region_of(&b->state, slot);
+        sfemi_schur_columns(f, &r, b->model->mesh.nodes, b->schur.y[slot], b->workspace->work, &b->exec);
     }
 }
 
@@ -24092,7 +27625,7 @@ static sfem_status sfemi_safeguard_fall_back(sfem_body *b, sfem_error *err)
     }
     head->budget += sfemi_safeguard_fallback_work(b);
 done:
-    if (b->schur.count) sfemi_body_forget_columns(b);
+    if (sfemi_schur_rows(&b->schur)) sfemi_body_forget_columns(b);
     return status;
 }
 
@@ -24164,7 +27697,7 @@ static void sfemi_safeguard_finish(sfem_body *b)
     sfem_int k;
     size_t i;
     int c;
-    for (k = 0; k < b->schur.count; ++k)
+    for (k = 0; k < sfemi_schur_rows(&b->schur); ++k)
         memcpy(s->handle[b->schur.slot[k]].force, b->schur.lambda + 3 * k, 3 * sizeof(sfem_real));
     sfemi_safeguard_update_budget(b);
     head->psi = g->psi;
@@ -24189,15 +27722,18 @@ static void sfemi_safeguard_finish(sfem_body *b)
     head->started = g->rejected ? SFEMI_RESTARTED : SFEMI_RUNNING;
 }
 
-/* ---- breaking ----
+/* ============================================================================================
+ * >>breaking   bodies that break: what a break takes from the energy budget, the balance of energies
  *
  * Edges are judged in the middle of a step from u to u', and break only where the exact local energy
  *   (Psi + Psi')/2 - (u'-u).(f'-f)/4
  * does not rise; after a rejected step, which starts afresh from u', where Psi' does not. Then the forces at
  * both ends are those of what is left, so that the next step goes on as if it had never been otherwise,
  * and what the energy budget counts falls by what has been released. A and its factor stay: they bound
- * what is left of K. New pieces that nothing holds get the rigid projection of >>rotated at once. */
+ * what is left of K. New pieces that nothing holds get the rigid projection of >>rotated at once.
+ * ============================================================================================ */
 
+#ifndef SFEM_NO_DAMAGE
 /* T + U of the step just taken, which (p,q,r) conserves where it is linear and A belongs to K:
  * 1/2 w'.r M w' + (Psi + Psi')/2 + (p - 1/2)(u'-u).(f'-f)/2, after a redo 1/2 w'.r M w' + Psi'. */
 static sfem_real sfemi_fracture_energy(const sfem_body *b, sfem_real *kinetic)
@@ -24235,9 +27771,9 @@ static sfem_real sfemi_fracture_work(sfem_body *b)
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     const int loaded = s->head->loaded;
     sfem_real work = g->rejected ? sfemi_safeguard_held_work(b) : 0;
-    sfem_int k;
+    sfem_int k, l;
     size_t i;
-    int l, c;
+    int c;
     for (i = 0; i < n; ++i) {
         sfem_real load = mass[i / 3] * gravity[i % 3];
         if (b->mask[i / 3] >> (i % 3) & 1) continue;
@@ -24247,13 +27783,13 @@ static sfem_real sfemi_fracture_work(sfem_body *b)
         work += load * sfemi_fracture_way(b, i);
     }
     if (g->rejected) return work;
-    for (k = 0; k < b->schur.count; ++k) {
-        const sfemi_handle *h = s->handle + b->schur.slot[k];
-        for (l = 0; l < 4; ++l)
-            for (c = 0; h->weight[l] != 0 && c < 3; ++c) {
-                i = 3 * (size_t)h->node[l] + (size_t)c;
+    for (k = 0; k < sfemi_schur_rows(&b->schur); ++k) {
+        const sfemi_region r = sfemi_region_of(s, b->schur.slot[k]);
+        for (l = 0; l < r.count; ++l)
+            for (c = 0; r.weight[l] != 0 && c < 3; ++c) {
+                i = 3 * (size_t)r.node[l] + (size_t)c;
                 if (!(b->mask[i / 3] >> c & 1))
-                    work += b->schur.lambda[3 * k + c] * h->weight[l] * sfemi_fracture_way(b, i);
+                    work += b->schur.lambda[3 * k + c] * r.weight[l] * sfemi_fracture_way(b, i);
             }
     }
     for (k = 0; k < b->pin_count; ++k)
@@ -24318,6 +27854,26 @@ static void sfemi_fracture_account(sfem_body *b)
     k->scale = fmax(k->scale, size);
 }
 
+/* Which edges handles protect, after handles have come or gone. */
+static void sfemi_fracture_protect(sfem_body *b)
+{
+    const sfemi_bonds *g = b->bonds;
+    sfem_int i, at, l, p;
+    int k;
+    memset(b->damage->held, 0, (size_t)g->edges);
+    for (i = 0; g->def.protect_handles && i < b->def.max_handles; ++i) {
+        const sfemi_region r = sfemi_region_of(&b->state, i);
+        for (p = 0; b->state.handle[i].used && p < r.count; ++p) {
+            if (r.weight[p] == 0) continue;
+            for (at = g->node_start[r.node[p]]; at < g->node_start[r.node[p] + 1]; ++at) {
+                const sfem_int edge = g->node_edge[at];
+                for (l = g->tet_start[edge]; l < g->tet_start[edge + 1]; ++l)
+                    for (k = 0; k < 6; ++k) b->damage->held[g->tet_edge[6 * (g->edge_tet[l] / 6) + k]] = 1;
+            }
+        }
+    }
+}
+
 /* The pieces as >>damage has them, which of them are held, and what they weigh. */
 static void sfemi_fracture_regroup(sfem_body *b)
 {
@@ -24374,6 +27930,51 @@ static void sfemi_fracture_round(sfem_body *b)
         head->budget += g->rejected ? after.ec - before.ec : after.eb - before.eb;
     }
 }
+
+static void sfemi_fracture_destroy(sfem_body *b)
+{
+    sfemi_damage_free(b->damage);
+    sfemi_bonds_free(b->bonds);
+}
+
+/* Everything intact. */
+static void sfemi_fracture_reset(sfem_body *b)
+{
+    sfemi_damage_reset(b->damage);
+    sfemi_fracture_regroup(b);
+}
+
+static sfem_status sfemi_fracture_create(sfem_body *b, sfem_error *err)
+{
+    const sfem_status status = sfemi_damage_create(b->bonds, &b->allocator, &b->damage, err);
+    if (status != SFEM_OK) return status;
+    sfemi_damage_attach(b->damage, b->state.damage);
+    sfemi_fracture_reset(b);
+    return SFEM_OK;
+}
+
+/* Goes on with the damage that a state has, whose memory may be another than before. */
+static void sfemi_fracture_restore(sfem_body *b, const sfemi_state *s)
+{
+    if (!b->damage) return;
+    sfemi_damage_attach(b->damage, s->damage);
+    sfemi_damage_refresh(b->damage);
+    sfemi_fracture_regroup(b);
+}
+#else
+static sfem_real sfemi_fracture_least_p(const sfem_body *b) { (void)b; return 0; }
+static void sfemi_fracture_round(sfem_body *b) { (void)b; }
+static void sfemi_fracture_destroy(sfem_body *b) { (void)b; }
+static void sfemi_fracture_restore(sfem_body *b, const sfemi_state *s) { (void)b, (void)s; }
+static sfem_status sfemi_fracture_create(sfem_body *b, sfem_error *err) { (void)b, (void)err; return SFEM_OK; }
+static sfem_status sfemi_bonds_create(const sfem_model *model, const struct sfem_damage_def *def,
+                                      const sfem_allocator *al, sfemi_bonds **out, sfem_error *err)
+{
+    (void)model, (void)def, (void)al, (void)out;
+    return sfemi_fail(err, SFEM_BAD_ARGUMENT, "bodies cannot break: the library is compiled with SFEM_NO_DAMAGE");
+}
+static void sfemi_fracture_protect(sfem_body *b) { (void)b; }
+#endif /* SFEM_NO_DAMAGE */
 
 /* ============================================================================================
  * >>sleep   bodies at rest, whose steps cost nothing
@@ -24461,7 +28062,7 @@ static void sfemi_sleep_compare_load(sfem_body *b)
 static int sfemi_sleep_step(sfem_body *b, sfem_real h)
 {
     sfemi_state_head *head = b->state.head;
-    if (head->sleep != SFEMI_ASLEEP || !(sfemi_finite(h) && h > 0)) return 0;
+    if (head->sleep != SFEMI_ASLEEP || head->step_forces || !(sfemi_finite(h) && h > 0)) return 0;
     sfemi_sleep_compare_load(b);
     if (head->sleep != SFEMI_ASLEEP) return 0;
     head->time += h;
@@ -24614,7 +28215,7 @@ static void sfemi_refactor_begin(sfem_body *b, const sfem_matrix *k)
         sfemi_damage_add_stiffness(b->damage, 1, r->k[to].val);
         r->stage = SFEMI_REFACTOR_MATRIX;
     }
-    if (b->damage) r->broken = b->damage->account[SFEMI_BROKEN];
+    r->broken = sfemi_damage_broken(b->damage);
     r->next = 0;
     r->credit = r->done = 0;
     r->flops = sfemi_refactor_price(b, r->stage == SFEMI_REFACTOR_TANGENT);
@@ -24633,7 +28234,7 @@ static double sfemi_refactor_tangent(sfem_body *b)
     job.kind = SFEM_TANGENT_PSD;
     job.val = r->k[r->live == 1].val;
     job.chunk = c->color_chunk;
-    job.kernel = sfemi_pairs_pick();
+    job.kernel = sfemi_pairs_path[sfemi_path()];
     chunk = job.chunk[r->next];
     sfemi_tangents_chunk(&job, r->next);
     if (++r->next == c->count) {
@@ -24767,7 +28368,7 @@ static void sfemi_refactor_follow(sfem_body *b)
     sfemi_refactor *r = &b->refactor;
     if (!b->damage || !r->source) return;
     if (r->since_break < WAIT) ++r->since_break;
-    else if (r->stage == SFEMI_REFACTOR_IDLE && b->damage->account[SFEMI_BROKEN] != r->broken)
+    else if (r->stage == SFEMI_REFACTOR_IDLE && sfemi_damage_broken(b->damage) != r->broken)
         sfemi_refactor_begin(b, NULL);
 }
 
@@ -24828,17 +28429,22 @@ static void sfemi_method_note_handle_forces(sfem_body *b)
 {
     const sfemi_schur *g = &b->schur;
     sfem_int i;
-    for (i = 0; i < g->count; ++i)
+    for (i = 0; i < sfemi_schur_rows(g); ++i)
         memcpy(b->state.handle[g->slot[i]].force, g->lambda + 3 * i, 3 * sizeof *g->lambda);
 }
 
 /* v and a of the handles' points; the acceleration that a new handle makes stale is found again, see below. */
 static void sfemi_method_finish_handles(sfem_body *b)
 {
+    const int damped = b->beta != 0 || b->zd;
+    if (b->schur.springs) {
+        if (sfemi_newmark_calm(b) && damped) b->state.head->started = SFEMI_RESTARTED;
+        return;
+    }
     sfemi_newmark_finish_handles(b, b->schur.place);
     /* a node that is taken while it moves changes its velocity, and D v: the acceleration is found again. Without that,
      * stiffness damping makes energy, three times what there was */
-    if (sfemi_resume_takes(b) && (b->beta != 0 || b->zd)) b->state.head->started = SFEMI_RESTARTED;
+    if (sfemi_resume_takes(b) && damped) b->state.head->started = SFEMI_RESTARTED;
 }
 
 /* ---- linear bodies ---- */
@@ -24869,6 +28475,14 @@ static void sfemi_linear_correct_momentum(sfem_body *b)
     sfemi_rotated_correct_momentum(b, b->factor->key.cm, b->acc);
 }
 
+/* KR-alpha: the forces of this step alone change the velocity that it starts from. On the right side the next step
+ * would take a part of them back, by its -back a. */
+static void sfemi_linear_kick(const sfem_body *b, sfem_real *v)
+{
+    size_t i;
+    for (i = 0; b->step.jumps && i < 3 * (size_t)b->model->mesh.nodes; ++i) v[i] += b->step.h * b->jump[i];
+}
+
 static void sfemi_linear_predict(sfem_body *b)
 {
     const sfem_real h = b->step.h;
@@ -24876,6 +28490,7 @@ static void sfemi_linear_predict(sfem_body *b)
     b->step.falls = sfemi_resume_change(b, h);
     sfemi_pqr_weigh(b, h);
     if (b->step.bridges) {
+        sfemi_linear_kick(b, b->velocity);
         sfemi_resume_bridge_predict(b);
         return;
     }
@@ -24883,13 +28498,17 @@ static void sfemi_linear_predict(sfem_body *b)
     else sfemi_pqr_predict(b);
     sfemi_resume_lessen(b, b->rhs);
     sfemi_linear_rigid_load(b);
+    if (b->base) sfemi_linear_kick(b, b->base);
 }
 
 static sfem_status sfemi_linear_solve(sfem_body *b, sfem_error *err)
 {
     sfemi_factor_solve(b->factor, b->model->mesh.nodes, 1, b->rhs, b->acc, b->workspace->work, &b->exec);
     sfemi_linear_correct_momentum(b);
-    if (b->step.bridges) sfemi_resume_bridge_correct(b, b->acc);
+    if (b->step.bridges) {
+        sfemi_resume_bridge_pull(b, b->acc);
+        sfemi_resume_bridge_correct(b, b->acc);
+    }
     else if (b->scheme.newmark) sfemi_newmark_solve(b);
     else sfemi_pqr_solve(b);
     return sfemi_method_check_acceleration(b, err);
@@ -24933,7 +28552,10 @@ static void sfemi_linear_finish(sfem_body *b)
     else if (b->scheme.newmark) sfemi_newmark_finish(b);
     else sfemi_pqr_finish(b);
     b->state.head->started = b->step.bridges ? SFEMI_LOAD_FIXED : SFEMI_RUNNING;
-    if (b->scheme.newmark) sfemi_method_finish_handles(b);
+    if (b->scheme.newmark) {
+        sfemi_newmark_settle(b, sfemi_spring_is_impulse(b) ? 1 / b->def.gamma : 0);
+        sfemi_method_finish_handles(b);
+    }
 }
 
 static sfem_real sfemi_linear_elastic(sfem_body *b)
@@ -24984,6 +28606,7 @@ static void sfemi_linear_balance(sfem_body *b, sfem_real *v)
                         b->model->block_mass != NULL || b->alpha != 0 || b->state.head->started == SFEMI_RUNNING);
 }
 
+#ifndef SFEM_NO_NEWTON
 /* ---- Newton's ---- */
 
 static sfem_status sfemi_newton_accept(sfem_body *b, sfem_error *err)
@@ -24998,7 +28621,9 @@ static void sfemi_newton_finish(sfem_body *b)
     sfemi_method_note_handle_forces(b);
     sfemi_implicit_finish(b);
     b->state.head->started = SFEMI_RUNNING;
-    sfemi_method_finish_handles(b);
+    if (!b->scheme.euler && sfemi_spring_is_impulse(b))
+        sfemi_newmark_settle(b, b->implicit.stage.hand / b->implicit.stage.m1);
+    if (!b->schur.springs || (!b->scheme.euler && b->scheme.stages == 1)) sfemi_method_finish_handles(b);
 }
 
 static sfem_real sfemi_newton_elastic(sfem_body *b)
@@ -25016,6 +28641,14 @@ static void sfemi_newton_balance(sfem_body *b, sfem_real *v)
     memcpy(b->zm, b->state.a, 3 * (size_t)b->model->mesh.nodes * sizeof *b->zm);
     sfemi_implicit_balance(b, 0, v, b->zm, b->rhs);
 }
+
+static const sfemi_method sfemi_method_newton = {sfemi_implicit_predict, sfemi_implicit_solve, sfemi_newton_accept,
+                                                 sfemi_newton_finish, sfemi_newton_elastic, sfemi_newton_conserved,
+                                                 sfemi_newton_balance};
+#define SFEMI_METHOD_NEWTON (&sfemi_method_newton)
+#else
+#define SFEMI_METHOD_NEWTON NULL /* such a body is refused */
+#endif
 
 /* ---- bodies that rotate ---- */
 
@@ -25071,9 +28704,6 @@ static void sfemi_rotated_balance(sfem_body *b, sfem_real *v)
 static const sfemi_method sfemi_method_linear = {sfemi_linear_predict, sfemi_linear_solve, sfemi_linear_accept,
                                                  sfemi_linear_finish, sfemi_linear_elastic, sfemi_linear_conserved,
                                                  sfemi_linear_balance};
-static const sfemi_method sfemi_method_newton = {sfemi_implicit_predict, sfemi_implicit_solve, sfemi_newton_accept,
-                                                 sfemi_newton_finish, sfemi_newton_elastic, sfemi_newton_conserved,
-                                                 sfemi_newton_balance};
 static const sfemi_method sfemi_method_rotated = {sfemi_rotated_predict,      sfemi_rotated_solve,
                                                   sfemi_safeguard_judge_step, sfemi_safeguard_finish,
                                                   sfemi_rotated_elastic,      sfemi_rotated_conserved,
@@ -25116,8 +28746,9 @@ static void sfemi_method_choose(sfem_body *b, const sfem_body_def *def)
     if (s->newmark) s->q = 2 * d->gamma;
     if (s->lagging) s->q = (3 - d->rho_inf) / ((1 + d->rho_inf) * (2 - d->rho_inf));
     sfemi_method_weigh(d, s);
-    s->method = s->rotates ? &sfemi_method_rotated : s->newton ? &sfemi_method_newton : &sfemi_method_linear;
+    s->method = s->rotates ? &sfemi_method_rotated : s->newton ? SFEMI_METHOD_NEWTON : &sfemi_method_linear;
 }
+#undef SFEMI_METHOD_NEWTON
 
 /* ============================================================================================
  * >>body   the pipeline that a user calls: create, prepare, step, read
@@ -25143,6 +28774,8 @@ SFEM_DEF sfem_body_def sfem_default_body_def(void)
     d.newton.tolerance = 1e-8;
     d.newton.load_steps = 1;
     d.max_handles = 16;
+    d.max_handle_nodes = 512;
+    d.handle_compliance = 1e-2;
     d.sleep_time = 0.5;
     return d;
 }
@@ -25188,14 +28821,28 @@ static sfem_status sfemi_body_check(const sfem_body_def *d, sfem_error *err)
     if (d->max_handles < 0 || d->max_handles > 1024)
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "max_handles is %d, must be 0 to 1024",
                           (int)d->max_handles);
+    if (d->max_handle_nodes < 0 || d->max_handle_nodes > 1 << 24)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "max_handle_nodes is %d, must be 0 to 2^24",
+                          (int)d->max_handle_nodes);
+    if (!(d->handle_compliance == 0 || (d->handle_compliance >= 1e-8 && d->handle_compliance <= 1e3)))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "handle_compliance is %g, must be 0 or 1e-8 to 1e3", d->handle_compliance);
+    if (!(sfemi_finite(d->handle_max_force) && d->handle_max_force >= 0))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "handle_max_force is %g N, must be >= 0 (0: no limit)", d->handle_max_force);
     return sfemi_implicit_check(d, err);
+}
+
+/* Nodes in all the regions of its handles: at least a tet's for each. */
+static sfem_int sfemi_body_region_capacity(const sfem_body *b)
+{
+    const sfem_int least = 4 * b->def.max_handles;
+    return least == 0 || b->def.max_handle_nodes < least ? least : b->def.max_handle_nodes;
 }
 
 /* Which body a state block belongs to: mesh size, pins, handle capacity, and what w means. */
 static uint64_t sfemi_body_key(const sfem_body *b)
 {
-    const int64_t shape[5] = {b->model->mesh.nodes, b->model->mesh.tets, b->pin_count, b->def.max_handles,
-                              !b->scheme.mean};
+    const int64_t shape[6] = {b->model->mesh.nodes, b->model->mesh.tets, b->pin_count, b->def.max_handles,
+                              sfemi_body_region_capacity(b), !b->scheme.mean};
     const uint64_t hash = sfemi_hash(SFEMI_HASH, shape, sizeof shape);
     return sfemi_hash(hash, b->mask, (size_t)b->model->mesh.nodes);
 }
@@ -25209,6 +28856,7 @@ static sfemi_state_shape sfemi_body_state_shape(const sfem_body *b, sfem_int pin
     s.bonds = b->bonds;
     s.nodes = nodes;
     s.handles = b->def.max_handles;
+    s.regions = sfemi_body_region_capacity(b);
     s.pins = pins;
     s.rotating = b->scheme.rotates ? nodes : 0;
     s.correcting = b->scheme.rotates == SFEMI_CORRECTS ? nodes : 0;
@@ -25282,39 +28930,30 @@ static int sfemi_body_corrects_momentum(const sfem_body *b)
 /* Which pieces are held; a body that does not turn has them in their places for good. */
 static void sfemi_body_find_held(sfem_body *b)
 {
+    if (b->damage) sfemi_fracture_protect(b);
     if (!b->rotated.pieces) return;
     sfemi_rotated_find_held(b);
     if (!b->scheme.rotates) sfemi_rotated_locate(b, NULL);
 }
 
-static void sfemi_body_free_schur(sfem_body *b, sfemi_schur *g)
-{
-    const sfem_allocator *al = &b->allocator;
-    sfem_int i;
-    for (i = 0; g->y && i < b->def.max_handles; ++i) sfemi_delete(al, g->y[i]);
-    sfemi_delete(al, g->y);
-    sfemi_delete(al, g->slot);
-    sfemi_delete(al, g->parts);
-    sfemi_delete(al, g->ready);
-    sfemi_delete(al, g->s);
-    sfemi_delete(al, g->wm);
-    sfemi_delete(al, g->lambda);
-    sfemi_delete(al, g->place);
-}
-
 static sfem_status sfemi_body_allocate_schur(sfem_body *b, size_t k, sfemi_schur *g, sfem_error *err)
 {
-    const sfem_allocator *al = &b->allocator;
     sfem_status status = SFEM_OK;
     if (k == 0) return SFEM_OK;
-    SFEMI_NEW(sfem_int, g->slot, al, k);
-    SFEMI_NEW(sfem_real *, g->y, al, k);
-    SFEMI_NEW(sfem_int, g->parts, al, k);
-    SFEMI_NEW(sfem_int, g->ready, al, k);
-    SFEMI_NEW(sfem_real, g->s, al, 9 * k * k);
-    SFEMI_NEW(sfem_real, g->wm, al, 3 * k * k);
-    SFEMI_NEW(sfem_real, g->lambda, al, 3 * k);
-    SFEMI_NEW(sfem_real, g->place, al, 3 * k);
+    SFEMI_TAKE(sfem_int, g->slot, &b->pool, k);
+    SFEMI_TAKE(sfem_real *, g->y, &b->pool, k);
+    SFEMI_TAKE(sfem_int, g->ready, &b->pool, k);
+    SFEMI_TAKE(sfem_real, g->s, &b->pool, 9 * k * k);
+    SFEMI_TAKE(sfem_real, g->wm, &b->pool, 3 * k * k);
+    SFEMI_TAKE(sfem_real, g->lambda, &b->pool, 3 * k);
+    SFEMI_TAKE(sfem_real, g->place, &b->pool, 3 * k);
+    if (b->spring.c > 0) {
+        SFEMI_TAKE(sfem_real, g->yield, &b->pool, 9 * k * k);
+        SFEMI_TAKE(sfem_real, g->pull, &b->pool, 3 * k);
+        SFEMI_TAKE(sfem_real, g->shifts, &b->pool, k);
+    }
+    SFEMI_TAKE(sfem_real, g->spread, &b->pool, b->model->mesh.nodes);
+    SFEMI_TAKE(sfem_int, g->group, &b->pool, k);
 done:
     return status;
 }
@@ -25328,7 +28967,7 @@ static sfem_status sfemi_body_allocate_lever(sfem_body *b, sfem_error *err)
     sfem_status status = SFEM_OK;
     size_t i;
     if (model->block_mass) {
-        SFEMI_NEW(sfem_real, b->rotated.lever, &b->allocator, n);
+        SFEMI_TAKE(sfem_real, b->rotated.lever, &b->pool, n);
         sfem_model_multiply_mass(model, model->mesh.x, b->rotated.lever, &b->exec);
         for (i = 0; i < n; ++i)
             b->rotated.lever[i] = model->node_mass[i / 3] > 0
@@ -25342,16 +28981,15 @@ done:
 /* The pieces, and what only a body that rotates needs. */
 static sfem_status sfemi_body_allocate_rotated(sfem_body *b, sfem_error *err)
 {
-    const sfem_allocator *al = &b->allocator;
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     sfem_status status = SFEM_OK;
-    SFEMI_NEW(sfem_int, b->rotated.piece_of, al, n / 3);
+    SFEMI_TAKE(sfem_int, b->rotated.piece_of, &b->pool, n / 3);
     SFEMI_TRY(sfem_mesh_components(&b->model->mesh, b->rotated.piece_of, &b->rotated.pieces, err));
-    SFEMI_NEW(sfemi_piece, b->rotated.piece, al, b->bonds ? b->model->mesh.nodes : b->rotated.pieces);
+    SFEMI_TAKE(sfemi_piece, b->rotated.piece, &b->pool, b->bonds ? b->model->mesh.nodes : b->rotated.pieces);
     b->rotated.still = !b->model->rotates;
     if (!b->scheme.rotates) return sfemi_body_allocate_lever(b, err);
-    SFEMI_NEW(sfem_real, b->rotated.over, al, n / 3);
-    SFEMI_NEW(sfem_real, b->rotated.diagonal, al, n / 3);
+    SFEMI_TAKE(sfem_real, b->rotated.over, &b->pool, n / 3);
+    SFEMI_TAKE(sfem_real, b->rotated.diagonal, &b->pool, n / 3);
 done:
     return status;
 }
@@ -25359,20 +28997,15 @@ done:
 static void sfemi_body_destroy(sfem_body *b)
 {
     const sfem_allocator al = b->allocator;
+    sfem_int i;
     sfemi_implicit_destroy(b);
     sfemi_refactor_destroy(b);
     sfemi_factor_release(b->model, b->factor);
     sfemi_factor_release(b->model, b->static_factor);
-    sfemi_body_free_schur(b, &b->schur);
+    for (i = 0; b->schur.y && i < b->def.max_handles; ++i) sfemi_delete(&al, b->schur.y[i]);
     sfemi_safeguard_close_system(b);
     sfemi_delete(&al, b->safeguard.tangent.val);
-    sfemi_delete(&al, b->rotated.piece_of);
-    sfemi_delete(&al, b->rotated.piece);
-    sfemi_delete(&al, b->rotated.over);
-    sfemi_delete(&al, b->rotated.diagonal);
-    sfemi_delete(&al, b->rotated.lever);
-    sfemi_damage_free(b->damage);
-    sfemi_bonds_free(b->bonds);
+    sfemi_fracture_destroy(b);
     sfemi_delete(&al, b->pin);
     sfemi_delete(&al, b->mask);
     sfemi_delete(&al, b->state.head);
@@ -25380,7 +29013,7 @@ static void sfemi_body_destroy(sfem_body *b)
     sfemi_delete(&al, b->own.memory);
     sfemi_delete(&al, b->own.work);
     sfem_model_free(b->model);
-    sfemi_delete(&al, b);
+    sfemi_pool_free(&b->pool);
 }
 
 static sfem_status sfemi_body_allocate(sfem_body *b, const sfem_body_def *def, sfem_error *err)
@@ -25401,12 +29034,7 @@ static sfem_status sfemi_body_allocate(sfem_body *b, const sfem_body_def *def, s
     SFEMI_TRY(sfemi_body_allocate_schur(b, k, &b->schur, err));
     if (b->scheme.rotates || sfemi_body_corrects_momentum(b)) SFEMI_TRY(sfemi_body_allocate_rotated(b, err));
     if (b->scheme.newton) SFEMI_TRY(sfemi_implicit_reserve(b, err));
-    if (b->bonds) {
-        SFEMI_TRY(sfemi_damage_create(b->bonds, al, &b->damage, err));
-        sfemi_damage_attach(b->damage, b->state.damage);
-        sfemi_damage_reset(b->damage);
-        sfemi_fracture_regroup(b);
-    }
+    if (b->bonds) SFEMI_TRY(sfemi_fracture_create(b, err));
     if (b->scheme.rotates) sfemi_rotated_weigh(b);
     sfemi_body_find_held(b);
 done:
@@ -25436,7 +29064,7 @@ SFEM_DEF sfem_status sfem_body_create(sfem_model *model, const sfem_body_def *de
     sfem_status status;
     SFEM_ASSERT(model && def && out);
     SFEMI_TRY(sfemi_body_check(def, err));
-    SFEMI_NEW(sfem_body, b, &def->allocator, 1);
+    SFEMI_NEW_OWNER(sfem_body, b, &def->allocator);
     b->allocator = def->allocator;
     b->exec = def->exec;
     b->def = *def;
@@ -25448,6 +29076,7 @@ SFEM_DEF sfem_status sfem_body_create(sfem_model *model, const sfem_body_def *de
     b->alpha = model->alpha + def->mass_damping;
     b->beta = model->beta + def->stiffness_damping;
     b->model = model;
+    b->spring = sfemi_spring_make(model, def);
     sfemi_method_choose(b, def);
     b->sleeps = def->sleep_tolerance > 0;
     b->def.damage = NULL;
@@ -25506,16 +29135,19 @@ static sfem_status sfemi_body_prepare_handles(sfem_body *b, sfem_error *err)
         count += b->state.handle[i].used;
     }
     if (count || !b->def.may_allocate) SFEMI_TRY(sfemi_workspace_reserve_work(b, b->factor, 3, err));
-    g->count = 0;
+    g->count = g->springs = count = 0;
     for (i = 0; i < b->def.max_handles; ++i) {
         if (!b->state.handle[i].used) continue;
-        if (!g->ready[i] && !b->implicit.system.matrix.val) /* else the columns change all the time */
-            sfemi_schur_columns(sfemi_body_active(b), b->state.handle + i, b->model->mesh.nodes, b->scheme.rotates,
-                               g->y[i], b->workspace->work, &b->exec);
+        if (!g->ready[i] && !b->implicit.system.matrix.val) { /* else the columns change all the time */
+            const sfemi_region r = sfemi_region_of(&b->state, i);
+            sfemi_schur_columns(sfemi_body_active(b), &r, b->model->mesh.nodes, g->y[i], b->workspace->work, &b->exec);
+        }
         g->ready[i] = 1;
-        g->slot[g->count++] = i;
+        g->slot[count++] = i;
     }
-    sfemi_schur_gather(g, b->state.handle, b->model, b->scheme.rotates, b->mask);
+    if (b->spring.c > 0) g->springs = count;
+    else g->count = count;
+    sfemi_schur_gather(g, &b->state, b->model, b->scheme.rotates, b->mask);
     if (b->scheme.rotates && (b->model->rotates || b->scheme.rotates == SFEMI_CORRECTS || b->damage) &&
         !b->def.may_allocate && b->def.safeguard) {
         SFEMI_TRY(sfemi_safeguard_prepare_isotropic(b, err));
@@ -25575,6 +29207,7 @@ static int sfemi_body_is_prepared(const sfem_body *b, sfem_real h)
     return sfemi_body_has_factor(b, h) && !b->schur.dirty;
 }
 
+#ifndef SFEM_NO_NEWTON
 static sfem_status sfemi_body_prepare_implicit(sfem_body *b, sfem_real h, sfem_real p, sfem_error *err)
 {
     sfem_factor *f;
@@ -25588,6 +29221,7 @@ static sfem_status sfemi_body_prepare_implicit(sfem_body *b, sfem_real h, sfem_r
     b->p = p;
     return sfemi_body_prepare_handles(b, err);
 }
+#endif
 
 static sfem_status sfemi_body_check_step(sfem_real h, sfem_error *err)
 {
@@ -25612,7 +29246,9 @@ SFEM_DEF sfem_status sfem_body_prepare(sfem_body *b, sfem_real h, sfem_error *er
     if (!b->factor || h != b->h) {
         status = sfemi_body_choose_p(b, h, &p, err);
         if (status != SFEM_OK) return status;
+#ifndef SFEM_NO_NEWTON
         if (b->scheme.newton) return sfemi_body_prepare_implicit(b, h, p, err);
+#endif
         key.ck = p * h * h + b->scheme.q / 2 * h * b->beta;
         key.cm = b->scheme.r + b->scheme.q / 2 * h * b->alpha;
         key.cd = b->model->damping ? b->scheme.q / 2 * h : 0;
@@ -25671,6 +29307,51 @@ static void sfemi_body_undo(sfem_body *b)
     b->phase = SFEMI_IDLE;
 }
 
+/* How long a force on the right side acts, so that d F is the change of momentum. */
+static sfem_real sfemi_body_span(const sfem_body *b)
+{
+    return b->scheme.mean ? b->step.d - b->step.back : b->step.h;
+}
+
+/* ---- forces of one step, F1
+ *
+ * Methods that keep the mean velocity w take h F1 as an impulse, on the right side; KR-alpha of linear bodies, whose
+ * next step takes a part of a back, as w + M^-1 h F1 at the start. The others have accelerations at both ends of the
+ * step: a spike of one step would leave a part of h F1 to the next step, and another part where its length differs. So
+ * F1 is constant over the step, and a jumps at both of its ends:
+ *     a+ = a + M^-1 F1,   the step from a+ under F + F1,   a = a' - M^-1 F1 from then on ---- */
+
+static void sfemi_step_force_find_jump(sfem_body *b)
+{
+    b->step.jumps = b->state.head->step_forces && (!b->scheme.mean || (b->scheme.lagging && !b->scheme.rotates));
+    if (b->state.head->step_forces) sfemi_sleep_wake_up(b);
+    if (!b->step.jumps) return;
+    memcpy(b->rhs, b->state.step_force, 3 * (size_t)b->model->mesh.nodes * sizeof *b->rhs);
+    sfemi_body_mass_solve(b, b->jump);
+}
+
+static void sfemi_step_force_apply(sfem_body *b)
+{
+    const sfem_real h = b->step.h, share = h / sfemi_body_span(b);
+    size_t i;
+    if (!b->state.head->step_forces || (b->step.jumps && b->scheme.mean)) return;
+    for (i = 0; i < 3 * (size_t)b->model->mesh.nodes; ++i) {
+        b->rhs[i] += share * b->state.step_force[i];
+        b->kick[i] = h * b->state.step_force[i];
+    }
+    b->kicked = 1;
+}
+
+static void sfemi_step_force_end(sfem_body *b)
+{
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    size_t i;
+    if (!b->state.head->step_forces) return;
+    for (i = 0; b->step.jumps && !b->scheme.mean && i < n; ++i) b->state.a[i] -= b->jump[i];
+    memset(b->state.step_force, 0, n * sizeof *b->state.step_force);
+    b->state.head->step_forces = 0;
+}
+
 static sfem_status sfemi_body_predict(sfem_body *b, sfem_real h, sfem_error *err)
 {
     sfem_status status;
@@ -25691,6 +29372,7 @@ static sfem_status sfemi_body_predict(sfem_body *b, sfem_real h, sfem_error *err
     if (b->state.head->sleep == SFEMI_ASLEEP) sfemi_sleep_wake_up(b);
     sfemi_sleep_compare_load(b);
     b->step.bridges = b->step.falls = b->step.fresh = b->step.starts_from_mass = 0;
+    sfemi_step_force_find_jump(b);
     b->scheme.method->predict(b);
     b->phase = SFEMI_PREDICTED;
     return SFEM_OK;
@@ -25707,6 +29389,7 @@ SFEM_DEF sfem_status sfem_body_predict(sfem_body *b, sfem_real h, sfem_error *er
     memcpy(b->predicted, b->rhs, bytes);
     memset(b->late, 0, bytes); /* add_impulse adds to it, and the workspace is another body's before */
     b->is_late = b->kicked = 0;
+    sfemi_step_force_apply(b);
     return SFEM_OK;
 }
 
@@ -25769,17 +29452,20 @@ SFEM_DEF sfem_status sfem_body_finish(sfem_body *b, sfem_error *err)
         return status;
     }
     b->begun = 0;
-    for (i = 0; i < g->count; ++i) sfem_body_handle_position(b, g->slot[i], g->place + 3 * i);
+    for (i = 0; i < sfemi_schur_rows(g); ++i) sfem_body_handle_position(b, g->slot[i], g->place + 3 * i);
     if (b->damage) sfemi_fracture_round(b);
     b->scheme.method->finish(b);
-    for (i = 0; i < g->count; ++i)
-        sfemi_target_advance(&b->state.handle[g->slot[i]].path, g->place + 3 * i);
+    for (i = 0; i < sfemi_schur_rows(g); ++i) {
+        sfemi_target *path = &b->state.handle[g->slot[i]].path;
+        sfemi_target_advance(path, g->springs ? path->target : g->place + 3 * i);
+    }
+    sfemi_step_force_end(b);
     b->state.head->time += b->step.h;
     b->state.head->h = b->step.h;
     b->state.head->p = b->p;
     ++b->state.head->steps;
     sfemi_body_age_load(b);
-    if (b->damage && b->damage->events) sfemi_sleep_wake_up(b);
+    if (sfemi_damage_events(b->damage)) sfemi_sleep_wake_up(b);
     sfemi_sleep_watch(b);
     sfemi_refactor_follow(b);
     sfemi_refactor_advance(b);
@@ -25794,7 +29480,7 @@ SFEM_DEF sfem_status sfem_body_step(sfem_body *b, sfem_real h, sfem_error *err)
     sleep = b->state.head->sleep;
     if (sfemi_sleep_step(b, h)) return SFEM_OK;
     b->rotated.by_hand = b->kicked = 0;
-    status = sfemi_body_predict(b, h, err);
+    status = b->state.head->step_forces ? sfem_body_predict(b, h, err) : sfemi_body_predict(b, h, err);
     if (status == SFEM_OK) status = sfem_body_solve(b, err);
     if (status == SFEM_OK) status = sfem_body_finish(b, err);
     if (status != SFEM_OK) b->state.head->sleep = sleep; /* what has woken it will do so again */
@@ -25854,12 +29540,6 @@ static sfem_status sfemi_body_check_node(const sfem_body *b, sfem_int node, cons
     return SFEM_OK;
 }
 
-/* How long a force on the right side acts, so that d F is the change of momentum. */
-static sfem_real sfemi_body_span(const sfem_body *b)
-{
-    return b->scheme.mean ? b->step.d - b->step.back : b->step.h;
-}
-
 SFEM_DEF sfem_status sfem_body_add_impulse(sfem_body *b, sfem_int node, const sfem_real j[3], sfem_error *err)
 {
     sfem_real *to, sum[3];
@@ -25881,7 +29561,7 @@ SFEM_DEF sfem_status sfem_body_add_impulse(sfem_body *b, sfem_int node, const sf
     return SFEM_OK;
 }
 
-SFEM_DEF sfem_status sfem_body_set_force(sfem_body *b, const sfem_real *force, sfem_error *err)
+SFEM_DEF sfem_status sfem_body_set_lasting_force(sfem_body *b, const sfem_real *force, sfem_error *err)
 {
     SFEM_ASSERT(b);
     const sfem_int nodes = b->model->mesh.nodes;
@@ -25893,8 +29573,8 @@ SFEM_DEF sfem_status sfem_body_set_force(sfem_body *b, const sfem_real *force, s
     return SFEM_OK;
 }
 
-SFEM_DEF sfem_status sfem_body_add_node_force(sfem_body *b, sfem_int node, const sfem_real f[3],
-                                              sfem_error *err)
+SFEM_DEF sfem_status sfem_body_add_lasting_force(sfem_body *b, sfem_int node, const sfem_real f[3],
+                                                 sfem_error *err)
 {
     SFEM_ASSERT(b && f);
     const sfem_status status = sfemi_body_check_node(b, node, f, "force", err);
@@ -25906,6 +29586,26 @@ SFEM_DEF sfem_status sfem_body_add_node_force(sfem_body *b, sfem_int node, const
     if (!sfemi_all_finite(sum, 3)) return sfemi_body_check_node(b, node, sum, "force", err);
     memcpy(at, sum, sizeof sum);
     sfemi_body_load_changed(b);
+    return SFEM_OK;
+}
+
+SFEM_DEF sfem_status sfem_body_add_step_force(sfem_body *b, sfem_int node, const sfem_real f[3], sfem_error *err)
+{
+    sfem_real *at, sum[3];
+    sfem_status status;
+    int c;
+    SFEM_ASSERT(b && f);
+    status = sfemi_body_check_node(b, node, f, "force", err);
+    if (status != SFEM_OK) return status;
+    if (b->phase != SFEMI_IDLE)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT,
+                          "a step is under way, between sfem_body_predict and _finish: add the force to sfem_body_rhs");
+    if (f[0] == 0 && f[1] == 0 && f[2] == 0) return SFEM_OK; /* which does not wake it */
+    at = b->state.step_force + 3 * (size_t)node;
+    for (c = 0; c < 3; ++c) sum[c] = at[c] + f[c];
+    if (!sfemi_all_finite(sum, 3)) return sfemi_body_check_node(b, node, sum, "force", err);
+    memcpy(at, sum, sizeof sum);
+    b->state.head->step_forces = 1;
     return SFEM_OK;
 }
 
@@ -25974,6 +29674,15 @@ SFEM_DEF void sfem_body_to_floats(const sfem_body *b, float *x, float *v, size_t
             if (b->mask[b->pin[k]] >> c & 1) v[(size_t)b->pin[k] * (stride / sizeof(float)) + (size_t)c] = 0;
 }
 
+SFEM_DEF void sfem_body_normals(const sfem_body *b, const sfem_surface *surface, float *normal, size_t stride)
+{
+    sfemi_corners at = {0, 0, 0, 0};
+    SFEM_ASSERT(b && surface && normal);
+    at.x = b->model->mesh.x;
+    at.u = b->state.u;
+    sfemi_surface_normals(surface->triangles, surface->tri, &at, b->model->mesh.nodes, normal, stride);
+}
+
 /* Starts the integrator afresh from u and the velocity in w. */
 static void sfemi_body_restart(sfem_body *b)
 {
@@ -26016,6 +29725,57 @@ SFEM_DEF sfem_status sfem_body_set_state(sfem_body *b, const sfem_real *u, const
     return SFEM_OK;
 }
 
+/* The rotation nearest to r, if r is one to 1e-6 and the body can bear it. */
+static sfem_status sfemi_body_check_rotation(const sfem_body *b, const sfem_real r[9], sfem_real proper[9],
+                                             sfem_error *err)
+{
+    sfem_real cofactor[9], most = 0, turned = 0;
+    sfem_int e;
+    int k;
+    if (!sfemi_all_finite(r, 9)) return sfemi_fail(err, SFEM_NOT_FINITE, "the rotation is not finite");
+    sfemi_cofactor3(r, cofactor); /* R itself, of a rotation */
+    for (k = 0; k < 9; ++k) most = fmax(most, fabs(cofactor[k] - r[k]));
+    if (!(most <= 1e-6) || !(sfemi_dot3(r, r) > 0.5))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT,
+                          "the matrix is not a proper rotation: its rows have to be orthonormal and det R 1, to 1e-6");
+    sfem_polar(r, proper, NULL);
+    for (k = 0; k < 9; ++k) turned = fmax(turned, fabs(proper[k] - (k % 4 == 0)));
+    if (turned < 1e-12) return SFEM_OK; /* its strain is rounding */
+    for (e = 0; e < b->model->mesh.tets; ++e)
+        if (b->model->law[e] == SFEM_LINEAR)
+            return sfemi_fail_at(err, SFEM_BAD_ARGUMENT, -1, e,
+                                 "tet %d has the linear law, which does not know rotations: place the body without one, "
+                                 "or rotate its mesh",
+                                 (int)e);
+    if (b->scheme.rotates && b->def.frame == SFEM_FRAME_REST)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT,
+                          "the body has SFEM_FRAME_REST, which does not know rotations: place it without one");
+    return SFEM_OK;
+}
+
+SFEM_DEF sfem_status sfem_body_place(sfem_body *b, const sfem_real rotation[9], const sfem_real translation[3],
+                                     sfem_error *err)
+{
+    static const sfem_real none[9] = {1, 0, 0, 0, 1, 0, 0, 0, 1};
+    sfem_real r[9], t[3] = {0, 0, 0};
+    sfem_int i;
+    int c;
+    SFEM_ASSERT(b);
+    const sfem_status status = sfemi_body_check_rotation(b, rotation ? rotation : none, r, err);
+    if (status != SFEM_OK) return status;
+    if (translation) memcpy(t, translation, sizeof t);
+    if (!sfemi_all_finite(t, 3)) return sfemi_fail(err, SFEM_NOT_FINITE, "the translation is not finite");
+    for (i = 0; i < b->model->mesh.nodes; ++i) {
+        const sfem_real *x = b->model->mesh.x + 3 * (size_t)i;
+        sfem_real *u = b->state.u + 3 * (size_t)i;
+        for (c = 0; c < 3; ++c) u[c] = sfemi_dot3(r + 3 * c, x) - x[c] + t[c];
+    }
+    memset(b->state.w, 0, 3 * (size_t)b->model->mesh.nodes * sizeof *b->state.w);
+    sfemi_body_restart(b);
+    sfemi_body_place_pins(b);
+    return SFEM_OK;
+}
+
 SFEM_DEF size_t sfem_body_state_size(const sfem_body *b)
 {
     SFEM_ASSERT(b);
@@ -26045,10 +29805,8 @@ SFEM_DEF sfem_status sfem_body_load_state(sfem_body *b, const void *memory, size
     if (status == SFEM_OK) status = sfemi_saved_fault(&sfemi_state_kind, &shape, memory, bytes, err);
     if (status != SFEM_OK) return status;
     memcpy(b->state.head, memory, bytes);
-    if (b->damage) {
-        sfemi_damage_refresh(b->damage);
-        sfemi_fracture_regroup(b);
-    }
+    sfemi_fracture_restore(b, &b->state);
+    sfemi_schur_group(&b->schur, &b->state, b->def.max_handles);
     sfemi_body_find_held(b);
     sfemi_refactor_drop(b);
     sfemi_body_forget_columns(b);
@@ -26080,10 +29838,7 @@ SFEM_DEF sfem_status sfem_body_set_pins(sfem_body *b, sfem_int count, const sfem
     bytes = fresh.head->saved.size;
     memcpy(fresh.head, old.head, (size_t)((char *)fresh.pin - (char *)fresh.head));
     fresh.head->saved.size = bytes;
-    if (b->damage) {
-        sfemi_damage_attach(b->damage, fresh.damage);
-        sfemi_damage_refresh(b->damage);
-    }
+    sfemi_fracture_restore(b, &fresh);
     sfemi_delete(al, old.head);
     sfemi_delete(al, b->mask);
     sfemi_delete(al, b->pin);
@@ -26125,44 +29880,71 @@ SFEM_DEF sfem_status sfem_body_move_pin(sfem_body *b, sfem_int node, const sfem_
     return SFEM_OK;
 }
 
-/* Takes the first free handle for the weighted nodes. */
-static sfem_status sfemi_body_grab(sfem_body *b, const sfem_int node[4], const sfem_real weight[4],
-                                   sfem_int *handle, sfem_error *err)
+static sfem_int sfemi_body_region_nodes(const sfem_body *b)
 {
-    sfemi_handle *h = NULL;
-    sfem_int k;
-    int c, loose = 0;
-    for (c = 0; c < 4; ++c) loose |= weight[c] != 0 && b->mask[node[c]] != SFEM_AXIS_ALL;
+    sfem_int k, sum = 0;
+    for (k = 0; k < b->def.max_handles; ++k) sum += b->state.handle[k].used ? b->state.handle[k].count : 0;
+    return sum;
+}
+
+/* Is there a free handle, *slot, for the weighted nodes, and something in them to hold? */
+static sfem_status sfemi_body_check_region(const sfem_body *b, sfem_int count, const sfem_int *node,
+                                           const sfem_real *weight, sfem_int *slot, sfem_error *err)
+{
+    const sfem_int room = sfemi_body_region_capacity(b), used = sfemi_body_region_nodes(b);
+    sfem_int k, loose = 0;
+    for (k = 0; k < count; ++k)
+        loose += (!weight || weight[k] != 0) && b->mask[node[k]] != SFEM_AXIS_ALL;
     if (!loose)
         return sfemi_fail_at(err, SFEM_BAD_ARGUMENT, node[0], -1, "node %d is pinned on all axes",
                              (int)node[0]);
     for (k = 0; k < b->def.max_handles && b->state.handle[k].used; ++k) continue;
     if (k == b->def.max_handles)
         return sfemi_fail(err, SFEM_FULL, "all %d handles are in use: pin the nodes instead", (int)k);
-    h = b->state.handle + k;
+    if (count > room - used)
+        return sfemi_fail(err, SFEM_FULL, "%d nodes more would be held, of max_handle_nodes %d are %d in use", (int)count,
+                          (int)room, (int)used);
+    *slot = k;
+    return SFEM_OK;
+}
+
+/* Takes the first free handle for the weighted nodes, those of weight 0 left out. */
+static sfem_status sfemi_body_grab(sfem_body *b, sfem_int count, const sfem_int *node, const sfem_real *weight,
+                                   sfem_int *handle, sfem_error *err)
+{
+    sfemi_handle *h = NULL;
+    sfem_int k, slot = 0, taken = 0;
+    sfem_status status;
+    for (k = 0; k < count; ++k) taken += !weight || weight[k] != 0;
+    status = sfemi_body_check_region(b, taken == 0 ? 1 : count, node, weight, &slot, err);
+    if (status != SFEM_OK) return status;
+    h = b->state.handle + slot;
     memset(h, 0, sizeof *h);
-    memcpy(h->node, node, sizeof h->node);
-    memcpy(h->weight, weight, sizeof h->weight);
+    h->first = sfemi_body_region_nodes(b);
+    for (k = 0; k < count; ++k) {
+        if (weight && weight[k] == 0) continue;
+        b->state.region_node[h->first + h->count] = node[k];
+        b->state.region_weight[h->first + h->count++] = weight ? weight[k] : 1.0 / count;
+    }
     h->used = 1;
-    sfem_body_handle_position(b, k, h->path.target);
+    sfem_body_handle_position(b, slot, h->path.target);
     memcpy(h->path.past, h->path.target, sizeof h->path.past);
-    b->schur.ready[k] = 0;
+    b->schur.ready[slot] = 0;
     b->schur.dirty = 1;
+    sfemi_schur_group(&b->schur, &b->state, b->def.max_handles);
+    if (b->spring.c > 0) b->state.head->pairs = 0; /* theirs are of another second derivative */
     sfemi_sleep_wake_up(b);
     sfemi_body_held_changed(b);
-    *handle = k;
+    *handle = slot;
     return SFEM_OK;
 }
 
 SFEM_DEF sfem_status sfem_body_grab_node(sfem_body *b, sfem_int node, sfem_int *handle, sfem_error *err)
 {
     SFEM_ASSERT(b && handle);
-    sfem_int nodes[4];
-    const sfem_real weight[4] = {1, 0, 0, 0};
     const sfem_status status = sfemi_body_check_node(b, node, NULL, "", err);
     if (status != SFEM_OK) return status;
-    nodes[0] = nodes[1] = nodes[2] = nodes[3] = node;
-    return sfemi_body_grab(b, nodes, weight, handle, err);
+    return sfemi_body_grab(b, 1, &node, NULL, handle, err);
 }
 
 SFEM_DEF sfem_status sfem_body_grab_point(sfem_body *b, sfem_int tet, const sfem_real bary[4],
@@ -26176,13 +29958,37 @@ SFEM_DEF sfem_status sfem_body_grab_point(sfem_body *b, sfem_int tet, const sfem
         return sfemi_fail_at(err, SFEM_BAD_ARGUMENT, -1, tet,
                              "barycentric coordinates %g %g %g %g do not add up to 1", bary[0], bary[1],
                              bary[2], bary[3]);
-    return sfemi_body_grab(b, b->model->mesh.tet + 4 * (size_t)tet, bary, handle, err);
+    return sfemi_body_grab(b, 4, b->model->mesh.tet + 4 * (size_t)tet, bary, handle, err);
+}
+
+SFEM_DEF sfem_status sfem_body_grab_region(sfem_body *b, sfem_int count, const sfem_int *node, const sfem_real *weight,
+                                           sfem_int *handle, sfem_error *err)
+{
+    sfem_real sum = 0;
+    sfem_int k;
+    SFEM_ASSERT(b && node && handle);
+    if (count < 1) return sfemi_fail(err, SFEM_BAD_ARGUMENT, "a region of %d nodes", (int)count);
+    for (k = 0; k < count; ++k) {
+        const sfem_status status = sfemi_body_check_node(b, node[k], NULL, "", err);
+        if (status != SFEM_OK) return status;
+        if (b->model->node_mass[node[k]] == 0)
+            return sfemi_fail_at(err, SFEM_BAD_ARGUMENT, node[k], -1, "node %d is in no tet: a region cannot hold it",
+                                 (int)node[k]);
+        if (weight && !sfemi_finite(weight[k]))
+            return sfemi_fail_at(err, SFEM_NOT_FINITE, node[k], -1, "the weight of node %d is not finite", (int)node[k]);
+        sum += weight ? weight[k] : 1.0 / count;
+    }
+    if (!(fabs(sum - 1) <= 1e-6))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "the weights of a region add up to %g, not 1", sum);
+    return sfemi_body_grab(b, count, node, weight, handle, err);
 }
 
 SFEM_DEF sfem_status sfem_body_move_handle(sfem_body *b, sfem_int handle, const sfem_real target[3],
                                            sfem_error *err)
 {
-    SFEM_ASSERT(handle >= 0 && handle < b->def.max_handles && b->state.handle[handle].used);
+    SFEM_ASSERT(b && target);
+    if (handle < 0 || handle >= b->def.max_handles || !b->state.handle[handle].used)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "there is no handle %d", (int)handle);
     if (!sfemi_all_finite(target, 3))
         return sfemi_fail(err, SFEM_NOT_FINITE, "the target of handle %d is not finite", (int)handle);
     if (memcmp(b->state.handle[handle].path.target, target, 3 * sizeof *target) != 0) sfemi_sleep_wake_up(b);
@@ -26190,14 +29996,30 @@ SFEM_DEF sfem_status sfem_body_move_handle(sfem_body *b, sfem_int handle, const 
     return SFEM_OK;
 }
 
+/* Frees the handle; what stands behind its region in the lists moves up. */
+static void sfemi_body_drop_region(sfem_body *b, sfem_int handle)
+{
+    sfemi_state *s = &b->state;
+    const sfemi_handle gone = s->handle[handle];
+    const size_t after = (size_t)(sfemi_body_region_nodes(b) - gone.first - gone.count);
+    sfem_int k;
+    memmove(s->region_node + gone.first, s->region_node + gone.first + gone.count, after * sizeof *s->region_node);
+    memmove(s->region_weight + gone.first, s->region_weight + gone.first + gone.count, after * sizeof *s->region_weight);
+    memset(s->handle + handle, 0, sizeof *s->handle);
+    for (k = 0; k < b->def.max_handles; ++k)
+        if (s->handle[k].used && s->handle[k].first > gone.first) s->handle[k].first -= gone.count;
+    sfemi_schur_group(&b->schur, s, b->def.max_handles);
+}
+
 SFEM_DEF void sfem_body_release_handle(sfem_body *b, sfem_int handle)
 {
     SFEM_ASSERT(handle >= 0 && handle < b->def.max_handles && b->state.handle[handle].used);
     if (b->state.handle[handle].path.age > 0) sfemi_resume_stop(b, 0);
-    memset(b->state.handle + handle, 0, sizeof *b->state.handle);
+    sfemi_body_drop_region(b, handle);
     b->phase = SFEMI_IDLE; /* a step under way still counts it in */
     b->schur.ready[handle] = 0;
     b->schur.dirty = 1;
+    if (b->spring.c > 0) b->state.head->pairs = 0;
     sfemi_sleep_wake_up(b);
     sfemi_body_held_changed(b);
     /* what the handle had put into motion, and would let steps make a share of, may be gone long since */
@@ -26208,6 +30030,25 @@ SFEM_DEF void sfem_body_handle_force(const sfem_body *b, sfem_int handle, sfem_r
 {
     SFEM_ASSERT(handle >= 0 && handle < b->def.max_handles && b->state.handle[handle].used);
     memcpy(force, b->state.handle[handle].force, 3 * sizeof *force);
+}
+
+SFEM_DEF sfem_handle_info sfem_body_get_handle(const sfem_body *b, sfem_int handle)
+{
+    const sfemi_handle *h;
+    sfem_real most;
+    sfem_handle_info info;
+    SFEM_ASSERT(handle >= 0 && handle < b->def.max_handles && b->state.handle[handle].used);
+    h = b->state.handle + handle;
+    most = b->spring.most * (1 - 1e-9);
+    memset(&info, 0, sizeof info);
+    info.nodes = h->count;
+    sfem_body_handle_position(b, handle, info.x);
+    memcpy(info.target, h->path.target, sizeof info.target);
+    memcpy(info.force, h->force, sizeof info.force);
+    info.compliance = b->spring.c;
+    info.tau = b->spring.tau;
+    info.slips = most > 0 && sfemi_dot3(h->force, h->force) >= most * most;
+    return info;
 }
 
 /* A step's temporaries. */
@@ -26323,12 +30164,15 @@ SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *b)
                       (size_t)info.nodes * sizeof *b->mask + (size_t)b->pin_count * sizeof *b->pin;
     info.body_bytes += (size_t)b->def.max_handles * ((12 * (size_t)b->def.max_handles + 6) * sizeof(sfem_real) +
                                                      3 * sizeof(sfem_int) + sizeof(sfem_real *));
+    if (b->def.max_handles) info.body_bytes += (size_t)info.nodes * sizeof *b->schur.spread;
+    if (b->spring.c > 0)
+        info.body_bytes += (size_t)b->def.max_handles * (9 * (size_t)b->def.max_handles + 4) * sizeof(sfem_real);
     if (b->rotated.piece_of) /* as sfemi_body_allocate_rotated has it */
         info.body_bytes += (size_t)info.nodes * sizeof *b->rotated.piece_of +
                            (size_t)(b->bonds ? info.nodes : b->rotated.pieces) * sizeof *b->rotated.piece;
     if (b->scheme.rotates) info.body_bytes += 2 * (size_t)info.nodes * sizeof(sfem_real);
     for (i = 0; i < b->def.max_handles; ++i)
-        info.body_bytes += 3 * n * (size_t)b->schur.parts[i] * sizeof(sfem_real);
+        if (b->schur.y[i]) info.body_bytes += 3 * n * sizeof(sfem_real);
     info.body_bytes += sfemi_implicit_bytes(b) + sfemi_refactor_bytes(b) + sfemi_safeguard_bytes(b);
     if (!b->factor) return info;
     if (sfemi_pqr_needs_omega(b)) info.stable_step = sfemi_pqr_stable_step(b, b->p);
@@ -26347,6 +30191,7 @@ SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *b)
     return info;
 }
 
+#ifndef SFEM_NO_DAMAGE
 /* ---- fracture ---- */
 
 SFEM_DEF sfem_fracture sfem_body_fracture(const sfem_body *b)
@@ -26456,8 +30301,7 @@ SFEM_DEF void sfem_body_heal(sfem_body *b)
 {
     SFEM_ASSERT(b && b->damage);
     sfemi_sleep_wake_up(b);
-    sfemi_damage_reset(b->damage);
-    sfemi_fracture_regroup(b);
+    sfemi_fracture_reset(b);
     memset(b->state.balance, 0, sizeof *b->state.balance);
     b->state.head->current = 0;
     sfemi_refactor_drop(b); /* or K would be larger than the factor's */
@@ -26759,6 +30603,8 @@ SFEM_DEF void sfem_body_fragment_positions(sfem_body *b, const sfem_fragments *f
     }
 }
 
+#endif /* SFEM_NO_DAMAGE */
+
 /* ============================================================================================
  * >>statics   f(u) = F with the body's pins and handles: a static solution
  *
@@ -26770,10 +30616,16 @@ SFEM_DEF void sfem_body_fragment_positions(sfem_body *b, const sfem_fragments *f
  * converges. */
 #define SFEMI_STATIC_CG 300
 
-/* Is the handle one node's alone? Weights may be negative: a weight of 1 does not say so. */
-static int sfemi_body_is_node_handle(const sfemi_handle *h)
+/* Is the handle a constraint on one node alone? */
+static int sfemi_body_is_node_handle(const sfem_body *b, sfem_int handle)
 {
-    return h->used && h->weight[0] == 1 && h->weight[1] == 0 && h->weight[2] == 0 && h->weight[3] == 0;
+    return b->state.handle[handle].used && b->state.handle[handle].count == 1 && b->spring.c == 0;
+}
+
+/* The first node of a handle. */
+static sfem_int sfemi_body_handle_node(const sfem_body *b, sfem_int handle)
+{
+    return b->state.region_node[b->state.handle[handle].first];
 }
 
 /* The body's pins and its node handles: what a static solution has to hold. */
@@ -26782,8 +30634,7 @@ static void sfemi_body_static_mask(const sfem_body *b, unsigned char *mask)
     sfem_int k;
     memcpy(mask, b->mask, (size_t)b->model->mesh.nodes);
     for (k = 0; k < b->def.max_handles; ++k)
-        if (sfemi_body_is_node_handle(b->state.handle + k))
-            mask[b->state.handle[k].node[0]] = SFEM_AXIS_ALL;
+        if (sfemi_body_is_node_handle(b, k)) mask[sfemi_body_handle_node(b, k)] = SFEM_AXIS_ALL;
 }
 
 /* Known displacements to u, zero elsewhere. Of two handles on one node the first counts, as in a step. */
@@ -26795,9 +30646,10 @@ static void sfemi_body_static_known(const sfem_body *b, sfem_real *u)
     memset(u, 0, 3 * (size_t)b->model->mesh.nodes * sizeof *u);
     for (k = b->def.max_handles - 1; k >= 0; --k) {
         const sfemi_handle *h = b->state.handle + k;
-        const size_t at = 3 * (size_t)h->node[0];
-        for (c = 0; sfemi_body_is_node_handle(h) && c < 3; ++c)
-            u[at + (size_t)c] = h->path.target[c] - rest[at + (size_t)c];
+        for (c = 0; sfemi_body_is_node_handle(b, k) && c < 3; ++c) {
+            const size_t at = 3 * (size_t)sfemi_body_handle_node(b, k) + (size_t)c;
+            u[at] = h->path.target[c] - rest[at];
+        }
     }
     for (k = 0; k < b->pin_count; ++k)
         for (c = 0; c < 3; ++c) {
@@ -26813,31 +30665,45 @@ static sfem_status sfemi_body_static_handles(sfem_body *b, const sfem_factor *f,
 {
     sfemi_schur *g = &b->schur;
     sfem_status status = SFEM_OK;
-    sfem_int k;
-    g->count = 0;
+    sfem_int k, rows = 0;
+    g->count = g->springs = 0;
     for (k = 0; k < b->def.max_handles; ++k) {
-        const sfemi_handle *h = b->state.handle + k;
+        const sfemi_region r = sfemi_region_of(&b->state, k);
         g->ready[k] = 0;
-        if (!h->used || sfemi_body_is_node_handle(h)) continue;
+        if (!b->state.handle[k].used || sfemi_body_is_node_handle(b, k)) continue;
         SFEMI_TRY(sfemi_schur_reserve(b, g, k, err));
-        if (apply) sfemi_schur_columns(f, h, b->model->mesh.nodes, 0, g->y[k], b->workspace->work, &b->exec);
-        g->slot[g->count++] = k;
+        if (apply) sfemi_schur_columns(f, &r, b->model->mesh.nodes, g->y[k], b->workspace->work, &b->exec);
+        g->slot[rows++] = k;
     }
-    if (apply && g->count) {
-        sfemi_schur_gather(g, b->state.handle, b->model, 0, f->mask);
-        for (k = 0; k < g->count; ++k) {
+    if (apply && rows) {
+        *(b->spring.c > 0 ? &g->springs : &g->count) = rows;
+        sfemi_schur_gather(g, &b->state, b->model, 0, f->mask);
+        for (k = 0; k < rows; ++k) {
+            const sfemi_region r = sfemi_region_of(&b->state, g->slot[k]);
             sfem_real rest[3];
             int c;
-            sfemi_schur_mean(b->state.handle + g->slot[k], b->model->mesh.x, rest);
+            sfemi_schur_mean(&r, b->model->mesh.x, rest);
             for (c = 0; c < 3; ++c)
                 g->lambda[3 * k + c] = b->state.handle[g->slot[k]].path.target[c] - rest[c];
         }
-        sfemi_schur_apply(g, b->state.handle, b->model->mesh.nodes, u);
-        for (k = 0; k < g->count; ++k)
+        if (g->count) {
+            sfemi_schur_apply(g, &b->state, b->model->mesh.nodes, u);
+        } else {
+            for (k = 0; k < rows; ++k) {
+                const sfemi_region r = sfemi_region_of(&b->state, g->slot[k]);
+                sfem_real mean[3];
+                int c;
+                sfemi_schur_mean(&r, u, mean);
+                for (c = 0; c < 3; ++c) g->lambda[3 * k + c] -= mean[c];
+            }
+            sfemi_spring_solve(g, b->spring.c, b->spring.most);
+            sfemi_schur_add(g, b->model->mesh.nodes, u);
+        }
+        for (k = 0; k < rows; ++k)
             memcpy(b->state.handle[g->slot[k]].force, g->lambda + 3 * k, 3 * sizeof(sfem_real));
     }
 done:
-    g->count = 0;
+    g->count = g->springs = 0;
     g->dirty = 1;
     return status;
 }
@@ -26851,41 +30717,211 @@ static void sfemi_body_static_forces(sfem_body *b)
     memcpy(b->zk, b->state.u, 3 * (size_t)b->model->mesh.nodes * sizeof *b->zk);
     if (b->zd) memset(b->zd, 0, 3 * (size_t)b->model->mesh.nodes * sizeof *b->zd);
     if (sfemi_implicit_linear(b->model)) sfemi_body_residual(b, load, 0);
+#ifndef SFEM_NO_NEWTON
     else sfemi_implicit_balance(b, 0, NULL, NULL, b->rhs);
+#endif
     for (k = 0; k < b->def.max_handles; ++k) {
         sfemi_handle *h = b->state.handle + k;
-        for (c = 0; sfemi_body_is_node_handle(h) && c < 3; ++c) {
-            const size_t i = 3 * (size_t)h->node[0] + (size_t)c;
-            h->force[c] = b->mask[h->node[0]] >> c & 1 ? 0 : -b->rhs[i];
+        for (c = 0; sfemi_body_is_node_handle(b, k) && c < 3; ++c) {
+            const size_t i = 3 * (size_t)sfemi_body_handle_node(b, k) + (size_t)c;
+            h->force[c] = b->mask[i / 3] >> c & 1 ? 0 : -b->rhs[i];
             b->rhs[i] = 0; /* carried */
         }
     }
 }
 
+/* Where less than three nodes are pinned, what holds a body may be handles that yield, which are not in its matrix: a
+ * little mass makes that positive definite. Newton's iteration takes it out again, in a few steps more; far less would
+ * drown in rounding of the rigid motions. 0: there is no need. */
+static sfem_real sfemi_body_static_mass(const sfem_body *b)
+{
+    const sfem_model *model = b->model;
+    sfem_real sum = 0;
+    sfem_int i;
+    int yields = 0;
+    for (i = 0; i < b->def.max_handles; ++i) yields |= b->spring.c > 0 && b->state.handle[i].used;
+    if (!yields || b->pin_count >= 3) return 0;
+    for (i = 0; i < model->mesh.nodes; ++i) sum += model->stiffness.val[9 * ((size_t)model->row[i + 1] - 1)];
+    return 1e-6 * sum / model->total_mass;
+}
+
 /* The static solution of a nonlinear model, to acc. */
+#ifndef SFEM_NO_NEWTON
 static sfem_status sfemi_body_static_newton(sfem_body *b, const sfemi_factor_key *key, sfem_error *err)
 {
     sfemi_schur *g = &b->schur;
     sfemi_system system;
     sfem_status status = SFEM_OK;
-    sfem_int k;
+    sfem_int k, rows = 0;
     memset(&system, 0, sizeof system);
     SFEMI_TRY(sfemi_implicit_reserve(b, err));
     SFEMI_TRY(sfemi_system_open(b, key, &system, err));
     SFEMI_TRY(sfemi_workspace_reserve_work(b, system.factor, 3, err));
     SFEMI_TRY(sfemi_body_static_handles(b, system.factor, NULL, 0, err));
     for (k = 0; k < b->def.max_handles; ++k)
-        if (b->state.handle[k].used && !sfemi_body_is_node_handle(b->state.handle + k)) g->slot[g->count++] = k;
+        if (b->state.handle[k].used && !sfemi_body_is_node_handle(b, k)) g->slot[rows++] = k;
+    *(b->spring.c > 0 ? &g->springs : &g->count) = rows;
     sfemi_body_static_known(b, b->implicit.best);
     SFEMI_TRY(sfemi_implicit_equilibrium(b, &system, b->implicit.best, b->acc, err));
-    for (k = 0; k < g->count; ++k)
+    for (k = 0; k < rows; ++k)
         memcpy(b->state.handle[g->slot[k]].force, g->lambda + 3 * k, 3 * sizeof(sfem_real));
 done:
-    g->count = 0;
+    g->count = g->springs = 0;
     g->dirty = 1;
     sfemi_factor_release(b->model, system.factor);
     sfemi_system_close(b, &system);
     return status;
+}
+#else
+static sfem_status sfemi_body_static_newton(sfem_body *b, const sfemi_factor_key *key, sfem_error *err)
+{
+    (void)key;
+    return sfemi_implicit_reserve(b, err);
+}
+#endif
+
+/* ---- which rigid motions pins and handles leave free: a sentence for a solution that failed ----
+ *
+ * A held axis c at x takes from the motions t + w x (x - centre) those with e_c.t + e_c.(w x d) != 0. What is left is
+ * the null space of the sum of these rows' products, w in units of 1/size. */
+typedef struct sfemi_freedom {
+    sfem_real g[36], centre[3], size;
+    sfem_int label, rows, one; /* the part of the mesh; rows; a node that is held, or -1 */
+} sfemi_freedom;
+
+static void sfemi_freedom_hold(sfemi_freedom *f, const sfem_real x[3], int axes)
+{
+    sfem_real d[3];
+    int c, k, l;
+    for (c = 0; c < 3; ++c) d[c] = (x[c] - f->centre[c]) / f->size;
+    for (c = 0; c < 3; ++c) {
+        sfem_real row[6] = {0, 0, 0, 0, 0, 0};
+        if (!(axes >> c & 1)) continue;
+        row[c] = 1;
+        row[3 + (c + 1) % 3] = d[(c + 2) % 3];
+        row[3 + (c + 2) % 3] = -d[(c + 1) % 3];
+        for (k = 0; k < 6; ++k)
+            for (l = 0; l < 6; ++l) f->g[6 * k + l] += row[k] * row[l];
+        ++f->rows;
+    }
+}
+
+/* The rows of one part of the mesh. */
+static void sfemi_freedom_gather(const sfem_body *b, const unsigned char *mask, const sfem_int *label, sfemi_freedom *f)
+{
+    const sfem_mesh *m = &b->model->mesh;
+    sfem_int i, n = 0;
+    int c;
+    memset(f->g, 0, sizeof f->g);
+    memset(f->centre, 0, sizeof f->centre);
+    f->rows = 0;
+    f->size = 0;
+    f->one = -1;
+    for (i = 0; i < m->nodes; ++i) {
+        if (label[i] != f->label) continue;
+        for (c = 0; c < 3; ++c) f->centre[c] += (m->x[3 * (size_t)i + (size_t)c] - f->centre[c]) / (n + 1);
+        ++n;
+    }
+    for (i = 0; i < m->nodes; ++i)
+        for (c = 0; label[i] == f->label && c < 3; ++c)
+            f->size = fmax(f->size, fabs(m->x[3 * (size_t)i + (size_t)c] - f->centre[c]));
+    for (i = 0; i < m->nodes; ++i) {
+        if (label[i] != f->label || !mask[i]) continue;
+        if (f->one < 0) f->one = i;
+        sfemi_freedom_hold(f, m->x + 3 * (size_t)i, mask[i]);
+    }
+    for (i = 0; i < b->def.max_handles; ++i) {
+        const sfemi_region r = sfemi_region_of(&b->state, i);
+        sfem_real x[3];
+        if (!b->state.handle[i].used || label[r.node[0]] != f->label || mask[r.node[0]] == SFEM_AXIS_ALL) continue;
+        sfemi_schur_mean(&r, m->x, x);
+        sfemi_freedom_hold(f, x, SFEM_AXIS_ALL);
+    }
+}
+
+/* A held node on the axis through p along unit w, other than `not`; or -1. */
+static sfem_int sfemi_freedom_node_on(const sfem_body *b, const unsigned char *mask, const sfemi_freedom *f,
+                                      const sfem_int *label, const sfem_real p[3], const sfem_real w[3], sfem_int other)
+{
+    sfem_int i;
+    for (i = 0; i < b->model->mesh.nodes; ++i) {
+        sfem_real d[3], off[3];
+        if (i == other || label[i] != f->label || mask[i] != SFEM_AXIS_ALL) continue;
+        sfemi_sub3(b->model->mesh.x + 3 * (size_t)i, p, d);
+        sfemi_cross(w, d, off);
+        if (sqrt(sfemi_dot3(off, off)) < 1e-6 * f->size) return i;
+    }
+    return -1;
+}
+
+/* The motion (t, w) in words. */
+static void sfemi_freedom_name(const sfem_body *b, const unsigned char *mask, const sfem_int *label,
+                               const sfemi_freedom *f, const sfem_real motion[6], char *text, size_t size)
+{
+    const sfem_real *t = motion, length = sqrt(sfemi_dot3(motion + 3, motion + 3));
+    sfem_real w[3], p[3];
+    sfem_int one, two;
+    int c;
+    if (length < 1e-6) {
+        snprintf(text, size, "move along (%.2g, %.2g, %.2g)", t[0], t[1], t[2]);
+        return;
+    }
+    for (c = 0; c < 3; ++c) w[c] = motion[3 + c] / length;
+    sfemi_cross(w, t, p);
+    for (c = 0; c < 3; ++c) p[c] = f->centre[c] + f->size / length * p[c];
+    one = sfemi_freedom_node_on(b, mask, f, label, p, w, -1);
+    two = one < 0 ? -1 : sfemi_freedom_node_on(b, mask, f, label, p, w, one);
+    if (two >= 0)
+        snprintf(text, size, "rotate about the axis through nodes %d and %d", (int)one, (int)two);
+    else if (one >= 0)
+        snprintf(text, size, "rotate about the axis through node %d along (%.2g, %.2g, %.2g)", (int)one, w[0], w[1], w[2]);
+    else
+        snprintf(text, size, "rotate about the axis through (%.3g, %.3g, %.3g) along (%.2g, %.2g, %.2g)", p[0], p[1], p[2],
+                 w[0], w[1], w[2]);
+}
+
+/* Appends what the pins and handles of the part that failed leave free, if anything. */
+static void sfemi_freedom_append(const sfem_body *b, const unsigned char *mask, const sfem_int *label, sfem_int parts,
+                                 sfem_error *err)
+{
+    const size_t used = strlen(err->text);
+    sfem_real g[36], value[6], v[36], motion[6];
+    sfemi_freedom f;
+    char what[128];
+    int free, k;
+    f.label = err->node >= 0 && err->node < b->model->mesh.nodes ? label[err->node] : 0;
+    if (f.label < 0) return;
+    do {
+        sfemi_freedom_gather(b, mask, label, &f);
+        memcpy(g, f.g, sizeof g);
+        sfemi_sym_eigen(6, g, value, v);
+        for (free = 0; free < 6 && !(value[5 - free] > 1e-12 * value[0]);) ++free;
+    } while (free == 0 && err->node < 0 && ++f.label < (parts < 16 ? parts : 16));
+    if (free == 0) return;
+    for (k = 0; k < 6; ++k) motion[k] = v[6 * k + 5];
+    if (f.rows == 0)
+        snprintf(what, sizeof what, "no pin or handle holds %s", parts > 1 ? "this part of the body" : "the body");
+    else if (free == 3 && f.rows == 3 && f.one >= 0 && mask[f.one] == SFEM_AXIS_ALL)
+        snprintf(what, sizeof what, "the pins let the body rotate about node %d", (int)f.one);
+    else if (free > 1)
+        snprintf(what, sizeof what, "pins and handles leave the body %d rigid motions", free);
+    else {
+        memcpy(what, "the pins let the body ", 23);
+        sfemi_freedom_name(b, mask, label, &f, motion, what + 22, sizeof what - 22);
+    }
+    snprintf(err->text + used, sizeof err->text - used, ": %s", what);
+}
+
+/* A body that can still move as a whole has no static solution, or many: names the motion. */
+static void sfemi_body_name_freedom(const sfem_body *b, const unsigned char *mask, sfem_error *err)
+{
+    sfem_int *label, parts = 0;
+    sfem_error none;
+    if (!err || !mask) return;
+    label = (sfem_int *)sfemi_new(&b->allocator, (size_t)b->model->mesh.nodes, sizeof *label);
+    if (label && sfem_mesh_components(&b->model->mesh, label, &parts, &none) == SFEM_OK)
+        sfemi_freedom_append(b, mask, label, parts, err);
+    sfemi_delete(&b->allocator, label);
 }
 
 /* K x = rhs on the free axes, from x = 0 there, by conjugate gradients with the factor of K0 <= K / a: smooth tets. rhs
@@ -26940,7 +30976,7 @@ static int sfemi_body_static_exact(const sfem_body *b)
     sfem_int k;
     if (!b->model->smooth || b->def.exact_statics) return b->model->smooth != NULL;
     for (k = 0; k < b->def.max_handles; ++k)
-        if (b->state.handle[k].used && !sfemi_body_is_node_handle(b->state.handle + k)) return 1;
+        if (b->state.handle[k].used && !sfemi_body_is_node_handle(b, k)) return 1;
     return 0;
 }
 
@@ -26955,7 +30991,7 @@ SFEM_DEF sfem_status sfem_body_solve_static(sfem_body *b, sfem_error *err)
     size_t i;
     SFEM_ASSERT(b);
     memset(&key, 0, sizeof key);
-    if (b->damage && b->damage->tets)
+    if (sfemi_damage_tets(b->damage))
         return sfemi_fail(err, SFEM_BAD_ARGUMENT,
                           "a body with broken edges has no static solution: let it step");
     SFEMI_TRY(sfemi_workspace_check(b, err));
@@ -26966,8 +31002,9 @@ SFEM_DEF sfem_status sfem_body_solve_static(sfem_body *b, sfem_error *err)
     key.ck = 1;
     key.mask = mask;
     key.ordering = b->def.ordering;
-    key.exact = !sfemi_implicit_linear(b->model) ? b->model->smooth != NULL : sfemi_body_static_exact(b);
-    if (!sfemi_implicit_linear(b->model)) {
+    key.cm = sfemi_body_static_mass(b);
+    key.exact = b->model->smooth && (!sfemi_implicit_linear(b->model) || key.cm > 0 || sfemi_body_static_exact(b));
+    if (!sfemi_implicit_linear(b->model) || key.cm > 0) {
         SFEMI_TRY(sfemi_body_static_newton(b, &key, err));
     } else {
         SFEMI_TRY(sfemi_factor_get(b->model, &key, &b->exec, &f, &b->factors_made, err));
@@ -26992,6 +31029,8 @@ SFEM_DEF sfem_status sfem_body_solve_static(sfem_body *b, sfem_error *err)
     for (i = 0; i < (size_t)b->pin_count; ++i)
         memcpy(b->state.pin[i].past, b->state.pin[i].target, sizeof b->state.pin[i].past);
 done:
+    if (status == SFEM_NOT_SPD || status == SFEM_NOT_CONVERGED || status == SFEM_SINGULAR)
+        sfemi_body_name_freedom(b, mask, err);
     sfemi_factor_release(b->model, b->static_factor);
     b->static_factor = f; /* kept: loads change more often than pins */
     sfemi_delete(&b->allocator, mask);
@@ -27017,22 +31056,12 @@ typedef struct sfemi_modes_kernels {
     void (*scale)(const double *, const double *, double *);
 } sfemi_modes_kernels;
 
-static const sfemi_modes_kernels *sfemi_modes_kernels_of(int path)
-{
-#define SFEMI_TABLE(p)                                                                              \
+#define SFEMI_K(p)                                                                                  \
     {sfemi_modes_dots_64_##p, sfemi_modes_combine_64_##p, sfemi_modes_gram_64_##p,                  \
      sfemi_modes_rotate_64_##p, sfemi_modes_row_64_##p,     sfemi_modes_project_64_##p,               \
      sfemi_modes_scale_64_##p}
-    static const sfemi_modes_kernels table[] = {
-        SFEMI_TABLE(0),
-#if SFEMI_X86
-        SFEMI_TABLE(1),
-        SFEMI_TABLE(2),
-#endif
-    };
-#undef SFEMI_TABLE
-    return table + path;
-}
+static const sfemi_modes_kernels sfemi_modes_path[] = SFEMI_PATHS(SFEMI_K);
+#undef SFEMI_K
 
 /* What the solvers work on: the free nodes, renumbered as they come. Held axes keep a row of their own
  * with K's diagonal in it and no mass, so that they are eigenvalues at infinity and never counted.
@@ -27155,7 +31184,7 @@ done:
 /* y = M x for four vectors that are zero on held axes. */
 static void sfemi_modes_mass(const sfemi_modes_system *s, const sfem_real *x, sfem_real *y)
 {
-    const sfemi_modes_kernels *f = sfemi_modes_kernels_of(sfemi_path());
+    const sfemi_modes_kernels *f = &sfemi_modes_path[sfemi_path()];
     const sfem_int *row = s->k.row;
     sfem_int i;
     size_t r;
@@ -27172,7 +31201,7 @@ static void sfemi_modes_mass(const sfemi_modes_system *s, const sfem_real *x, sf
 /* y = K x for four vectors. */
 static void sfemi_modes_stiffness(const sfemi_modes_system *s, const sfem_real *x, sfem_real *y)
 {
-    const sfemi_modes_kernels *f = sfemi_modes_kernels_of(sfemi_path());
+    const sfemi_modes_kernels *f = &sfemi_modes_path[sfemi_path()];
     const sfem_int *row = s->k.row;
     sfem_int i;
     memset(y, 0, 12 * (size_t)s->n * sizeof *y);
@@ -27244,7 +31273,7 @@ static sfem_int sfemi_modes_allowed(sfem_real *g, sfem_real *motion)
  * displacements where s->half is set: then x -= root(M) Z (root(M) Z)^T x. */
 static void sfemi_modes_deflate(const sfemi_modes_system *s, sfem_real *x)
 {
-    const sfemi_modes_kernels *f = sfemi_modes_kernels_of(sfemi_path());
+    const sfemi_modes_kernels *f = &sfemi_modes_path[sfemi_path()];
     const size_t rows = 3 * (size_t)s->n;
     sfem_int i;
     if (s->rigid == 0) return;
@@ -28128,13 +32157,12 @@ static int sfemi_lanczos_gap(const sfemi_lanczos *z, int attempt, sfem_real *bou
 /* Makes the factor one of positive pivots, which is faster, or of any. */
 static sfem_status sfemi_lanczos_signs(sfemi_lanczos *z, int positive, sfem_error *err)
 {
-    const sfem_allocator *al = z->s->al;
     sfem_ldl *ldl = z->ldl;
     sfem_status status = SFEM_OK;
     ldl->positive = 1;
     if (positive) return SFEM_OK;
-    if (!ldl->signs) SFEMI_NEW(double, ldl->signs, al, ldl->symbolic->signs[ldl->symbolic->tasks] + 1);
-    if (!ldl->probe) SFEMI_NEW(double, ldl->probe, al, 2 * z->rows + sfem_ldl_work_size(ldl, 1));
+    if (!ldl->signs) SFEMI_TAKE(double, ldl->signs, &ldl->pool, ldl->symbolic->signs[ldl->symbolic->tasks] + 1);
+    if (!ldl->probe) SFEMI_TAKE(double, ldl->probe, &ldl->pool, 2 * z->rows + sfem_ldl_work_size(ldl, 1));
     ldl->positive = 0;
 done:
     return status;
@@ -28282,7 +32310,7 @@ static sfem_status sfemi_lanczos_create(sfemi_modes_system *s, sfem_modes_info *
     memset(z, 0, sizeof *z);
     z->s = s;
     z->pool = sfemi_pool_of(s->al);
-    z->f = sfemi_modes_kernels_of(sfemi_path());
+    z->f = &sfemi_modes_path[sfemi_path()];
     z->exec = &s->def->exec;
     z->info = info;
     z->rows = 3 * (size_t)s->n;
@@ -28779,23 +32807,9 @@ typedef struct sfemi_modal_kernels {
                     const sfem_int *, const float *, const float *, const float *, float *);
 } sfemi_modal_kernels;
 
-static const sfemi_modal_kernels *sfemi_modal_kernels_of(int path)
-{
-#define SFEMI_TABLE(p)                                                                             \
-    {                                                                                              \
-        sfemi_modal_dot3_64_##p, sfemi_modal_add3_64_##p, sfemi_modal_tiles_64_##p,                \
-            sfemi_modal_tiles_32_##p                                                               \
-    }
-    static const sfemi_modal_kernels table[] = {
-        SFEMI_TABLE(0),
-#if SFEMI_X86
-        SFEMI_TABLE(1),
-        SFEMI_TABLE(2),
-#endif
-    };
-#undef SFEMI_TABLE
-    return table + path;
-}
+#define SFEMI_K(p) {sfemi_modal_dot3_64_##p, sfemi_modal_add3_64_##p, sfemi_modal_tiles_64_##p, sfemi_modal_tiles_32_##p}
+static const sfemi_modal_kernels sfemi_modal_path[] = SFEMI_PATHS(SFEMI_K);
+#undef SFEMI_K
 
 /* --- rotations ------------------------------------------------------------------------------- */
 
@@ -29013,16 +33027,6 @@ static const sfemi_saved_array sfemi_reduced_array[] = {
 
 static const sfemi_saved_kind sfemi_reduced_kind = SFEMI_SAVED_KIND("sfemred", "reduced model", 2, sfemi_reduced_array);
 
-SFEM_DEF sfem_reduced_def sfem_default_reduced_def(void)
-{
-    sfem_reduced_def def;
-    memset(&def, 0, sizeof def);
-    def.cookie = SFEMI_COOKIE_REDUCED;
-    def.free = -1;
-    def.gravity_groups = 16;
-    return def;
-}
-
 SFEM_DEF void sfem_reduced_free(sfem_reduced *r)
 {
     sfem_int left;
@@ -29061,6 +33065,7 @@ done:
     return status;
 }
 
+#ifndef SFEM_NO_MODES
 /* Psi: half the curl of each mode, constant in a tet, averaged at the nodes by volume. */
 static void sfemi_reduced_curl(sfem_reduced *r, const sfem_model *model, sfem_real *volume)
 {
@@ -29263,6 +33268,16 @@ static sfem_status sfemi_reduced_check(const sfem_model *model, const sfem_modes
     return SFEM_OK;
 }
 
+SFEM_DEF sfem_reduced_def sfem_default_reduced_def(void)
+{
+    sfem_reduced_def def;
+    memset(&def, 0, sizeof def);
+    def.cookie = SFEMI_COOKIE_REDUCED;
+    def.free = -1;
+    def.gravity_groups = 16;
+    return def;
+}
+
 SFEM_DEF sfem_status sfem_reduced_create(sfem_model *model, const sfem_modes *modes,
                                          const sfem_reduced_def *def, sfem_reduced **out,
                                          sfem_error *err)
@@ -29319,6 +33334,8 @@ done:
     sfem_reduced_free(r);
     return status;
 }
+
+#endif /* SFEM_NO_MODES */
 
 SFEM_DEF sfem_reduced_info sfem_reduced_get_info(const sfem_reduced *r)
 {
@@ -29603,6 +33620,8 @@ typedef struct sfemi_modal_head {
     sfem_real residual;
     sfem_int started, forces;    /* a belongs to the state; nodes with forces */
     sfem_int handles, handle_nodes, iterations, rows_left;
+    sfem_int step_forces, unused; /* step_load, and these, are not zero */
+    sfem_real step_force[3], step_torque[3]; /* on the frame, world, during the next step alone */
     int64_t steps;
 } sfemi_modal_head;
 
@@ -29624,6 +33643,7 @@ struct sfem_modal {
     sfem_real *mean;               /* [stride] velocity over the last step: carries the rotations
                                     * on to where the load of the next one acts. (q' would not do:
                                     * that of modes faster than the step alternates.) */
+    sfem_real *step_load;          /* [stride] during the next step alone */
     sfem_int *asleep;              /* [stride] */
     sfemi_modal_handle *handle;    /* [max_handles] */
     sfem_real *weight;             /* [max_handle_nodes] */
@@ -29634,6 +33654,7 @@ struct sfem_modal {
     /* scratch */
     void *backup;                  /* small_bytes */
     sfem_real *next, *b, *qp, *vp, *inverse, *from; /* [stride] */
+    sfem_real *lasting;            /* [stride] next without the forces of the step alone */
     sfem_real *pull, *trial, *way; /* [stride] J^T l: taken, tried, and the difference */
     sfem_real *mass, *drag, *light; /* [stride] oscillators as Newmark is to see them; 1/mass */
     sfemi_oscillator *oscillator;  /* [stride] */
@@ -29775,6 +33796,8 @@ static int sfemi_modal_check_head(const void *shape, const char *at, size_t coun
     return sfemi_all_finite(&h->time, 3) && (h->h >= 0 || h->h == -1) && sfemi_finite(h->h) && h->beta >= 0 &&
            h->gamma >= 0 && sfemi_all_finite(h->gravity, 3) &&
            sfemi_all_finite(h->rigid.x, sizeof h->rigid / sizeof(sfem_real)) && sfemi_all_finite(h->momentum, 9) &&
+           sfemi_all_finite(h->step_force, 3) && sfemi_all_finite(h->step_torque, 3) && h->step_forces >= 0 &&
+           h->step_forces <= 1 &&
            h->forces >= 0 && h->forces <= b->reduced->head->nodes && h->handles >= 0 && h->handle_nodes >= 0 &&
            h->handle_nodes <= b->def.max_handle_nodes && h->steps >= 0 && h->steps <= SFEMI_SAVED_MOST;
 }
@@ -29844,6 +33867,7 @@ static const sfemi_saved_array sfemi_modal_array[] = {
     SFEMI_ROW(f, 1, stride, sfemi_saved_finite, "a mode"),
     SFEMI_ROW(rest, 1, stride, sfemi_saved_finite, "a mode"),
     SFEMI_ROW(mean, 1, stride, sfemi_saved_finite, "a mode"),
+    SFEMI_ROW(step_load, 1, stride, sfemi_saved_finite, "a load"),
     SFEMI_ROW(asleep, 1, stride, NULL, NULL),
     SFEMI_ROW(handle, 1, handles, sfemi_modal_check_handles, "a handle"),
     SFEMI_ROW(weight, 1, handle_nodes, sfemi_saved_finite, "a handle"),
@@ -29855,7 +33879,7 @@ static const sfemi_saved_array sfemi_modal_array[] = {
 #undef SFEMI_ROW
 
 static const sfemi_saved_kind sfemi_modal_kind =
-    SFEMI_SAVED_KIND("sfemmod", "saved state of a modal body", 3, sfemi_modal_array);
+    SFEMI_SAVED_KIND("sfemmod", "saved state of a modal body", 4, sfemi_modal_array);
 
 static uint64_t sfemi_modal_key(const sfem_modal *b)
 {
@@ -29914,7 +33938,7 @@ SFEM_DEF sfem_status sfem_modal_create(sfem_reduced *reduced, const sfem_modal_d
     b->def = *def;
     sfemi_reduced_retain(reduced);
     b->reduced = reduced;
-    b->kernels = sfemi_modal_kernels_of(sfemi_path());
+    b->kernels = &sfemi_modal_path[sfemi_path()];
     b->m = (size_t)reduced->head->modes;
     b->stride = (size_t)reduced->head->stride;
     shape = sfemi_modal_shape_of(b);
@@ -29922,7 +33946,7 @@ SFEM_DEF sfem_status sfem_modal_create(sfem_reduced *reduced, const sfem_modal_d
     sfemi_pool_own(&b->pool, b->head);
     b->small_bytes = (size_t)((char *)b->weight - (char *)b->head);
     SFEMI_TAKE(char, b->backup, &b->pool, b->small_bytes);
-    SFEMI_TAKE(sfem_real, b->next, &b->pool, 13 * b->stride + 1);
+    SFEMI_TAKE(sfem_real, b->next, &b->pool, 14 * b->stride + 1);
     b->b = b->next + b->stride;
     b->qp = b->b + b->stride;
     b->vp = b->qp + b->stride;
@@ -29934,7 +33958,8 @@ SFEM_DEF sfem_status sfem_modal_create(sfem_reduced *reduced, const sfem_modal_d
     b->pull = b->light + b->stride;
     b->trial = b->pull + b->stride;
     b->way = b->trial + b->stride;
-    b->drawn_q = b->way + b->stride;
+    b->lasting = b->way + b->stride;
+    b->drawn_q = b->lasting + b->stride;
     SFEMI_TAKE(sfemi_oscillator, b->oscillator, &b->pool, b->stride + 1);
     SFEMI_TAKE(sfem_real, b->s, &b->pool, rows * (rows + 4 + b->stride) + 1);
     SFEMI_TAKE(sfem_int, b->column, &b->pool, 2 * rows + 1);
@@ -29948,7 +33973,7 @@ SFEM_DEF sfem_status sfem_modal_create(sfem_reduced *reduced, const sfem_modal_d
     SFEMI_TAKE(sfem_int, b->drawn, &b->pool, b->stride + 1);
     SFEMI_TAKE(float, b->drawn_q32, &b->pool, b->stride + 1);
     b->bytes = sizeof *b + (size_t)b->head->saved.size + b->small_bytes +
-               b->stride * (13 * sizeof(sfem_real) + sizeof(sfemi_oscillator) + sizeof(sfem_int) +
+               b->stride * (14 * sizeof(sfem_real) + sizeof(sfemi_oscillator) + sizeof(sfem_int) +
                             sizeof(float)) +
                rows * ((rows + 4 + b->stride) * sizeof(sfem_real) + 2 * sizeof(sfem_int)) +
                (size_t)reduced->head->nodes * sizeof(sfem_int);
@@ -29969,7 +33994,7 @@ done:
 
 /* --- loads ----------------------------------------------------------------------------------- */
 
-SFEM_DEF sfem_status sfem_modal_set_force(sfem_modal *b, const sfem_real *force, sfem_error *err)
+SFEM_DEF sfem_status sfem_modal_set_lasting_force(sfem_modal *b, const sfem_real *force, sfem_error *err)
 {
     SFEM_ASSERT(b);
     const sfem_int n = b->reduced->head->nodes;
@@ -29990,8 +34015,8 @@ SFEM_DEF sfem_status sfem_modal_set_force(sfem_modal *b, const sfem_real *force,
     return SFEM_OK;
 }
 
-SFEM_DEF sfem_status sfem_modal_add_node_force(sfem_modal *b, sfem_int node, const sfem_real f[3],
-                                               sfem_error *err)
+SFEM_DEF sfem_status sfem_modal_add_lasting_force(sfem_modal *b, sfem_int node, const sfem_real f[3],
+                                                  sfem_error *err)
 {
     SFEM_ASSERT(b && f);
     sfem_int at;
@@ -30047,38 +34072,71 @@ static void sfemi_modal_weight(const sfem_modal *b, const sfem_real *q, sfem_rea
     }
 }
 
+/* Adds Phi^T R^T F of the force on one node; its torque about the centre of a free body, else 0. */
+static void sfemi_modal_load_node(const sfem_modal *b, const sfem_real *q, sfem_int node, const sfem_real force[3],
+                                  sfem_real *f, sfem_real torque[3])
+{
+    const sfem_reduced *r = b->reduced;
+    const sfem_rigid *frame = &b->head->rigid;
+    sfem_real local[3] = {force[0], force[1], force[2]}, w[3], k1, k2;
+    int c;
+    memset(torque, 0, 3 * sizeof *torque);
+    if (r->head->free) {
+        sfem_real arm[3];
+        sfemi_modal_displace(b, node, q, arm);
+        for (c = 0; c < 3; ++c) arm[c] += r->x[3 * (size_t)node + (size_t)c] - r->head->centre[c];
+        sfemi_rotated_vector(frame->r, arm, arm);
+        sfemi_cross(arm, force, torque);
+        sfemi_rotated_back(frame->r, force, local);
+    }
+    if (b->def.warp != SFEM_WARP_NONE) {
+        sfemi_modal_rotation(b, node, q, w);
+        sfemi_rotated_coefficients(SFEMI_TURN_ROTATION, w, &k1, &k2);
+        sfemi_warp_apply(-k1, k2, w, local, local);
+    }
+    b->kernels->add3(b->stride, r->phi + 3 * b->stride * (size_t)node, local, f);
+}
+
 /* f = Phi^T R(q)^T F, and of a free body the force and torque on its frame. */
 static void sfemi_modal_load_at(sfem_modal *b, const sfem_real *q, sfem_real *f)
 {
     const sfem_reduced *r = b->reduced;
-    const sfem_rigid *frame = &b->head->rigid;
     sfem_int i;
     int c;
     memset(f, 0, b->stride * sizeof *f);
     memset(b->pose_torque, 0, sizeof b->pose_torque);
     for (c = 0; c < 3; ++c) b->pose_force[c] = r->head->mass * b->head->gravity[c];
     for (i = 0; i < b->head->forces; ++i) {
-        const sfem_int node = b->force_node[i];
-        const sfem_real *F = b->force + 3 * (size_t)i;
-        sfem_real local[3] = {F[0], F[1], F[2]}, w[3], k1, k2;
-        if (r->head->free) {
-            sfem_real arm[3], torque[3];
-            sfemi_modal_displace(b, node, q, arm);
-            for (c = 0; c < 3; ++c)
-                arm[c] += r->x[3 * (size_t)node + (size_t)c] - r->head->centre[c];
-            sfemi_rotated_vector(frame->r, arm, arm);
-            sfemi_cross(arm, F, torque);
-            for (c = 0; c < 3; ++c) b->pose_force[c] += F[c], b->pose_torque[c] += torque[c];
-            sfemi_rotated_back(frame->r, F, local);
-        }
-        if (b->def.warp != SFEM_WARP_NONE) {
-            sfemi_modal_rotation(b, node, q, w);
-            sfemi_rotated_coefficients(SFEMI_TURN_ROTATION, w, &k1, &k2);
-            sfemi_warp_apply(-k1, k2, w, local, local);
-        }
-        b->kernels->add3(b->stride, r->phi + 3 * b->stride * (size_t)node, local, f);
+        sfem_real torque[3];
+        sfemi_modal_load_node(b, q, b->force_node[i], b->force + 3 * (size_t)i, f, torque);
+        for (c = 0; r->head->free && c < 3; ++c)
+            b->pose_force[c] += b->force[3 * (size_t)i + (size_t)c], b->pose_torque[c] += torque[c];
     }
     sfemi_modal_weight(b, q, f);
+}
+
+SFEM_DEF sfem_status sfem_modal_add_step_force(sfem_modal *b, sfem_int node, const sfem_real f[3], sfem_error *err)
+{
+    sfemi_modal_head *head;
+    sfem_real torque[3];
+    size_t k;
+    int c, finite = 1;
+    SFEM_ASSERT(b && f);
+    head = b->head;
+    if (node < 0 || node >= b->reduced->head->nodes)
+        return sfemi_fail_at(err, SFEM_BAD_ARGUMENT, node, -1, "there is no node %d, the body has %d", (int)node,
+                             (int)b->reduced->head->nodes);
+    if (!sfemi_all_finite(f, 3))
+        return sfemi_fail_at(err, SFEM_NOT_FINITE, node, -1, "the force on node %d is not finite", (int)node);
+    memcpy(b->b, b->step_load, b->stride * sizeof *b->b);
+    sfemi_modal_load_node(b, b->q, node, f, b->b, torque);
+    for (k = 0; k < b->m; ++k) finite &= sfemi_finite(b->b[k]);
+    for (c = 0; c < 3; ++c) finite &= sfemi_finite(head->step_force[c] + f[c]) && sfemi_finite(head->step_torque[c] + torque[c]);
+    if (!finite) return sfemi_fail_at(err, SFEM_NOT_FINITE, node, -1, "the force on node %d overflows", (int)node);
+    memcpy(b->step_load, b->b, b->stride * sizeof *b->b);
+    for (c = 0; b->reduced->head->free && c < 3; ++c) head->step_force[c] += f[c], head->step_torque[c] += torque[c];
+    head->step_forces = 1;
+    return SFEM_OK;
 }
 
 SFEM_DEF void sfem_modal_load(sfem_modal *b, sfem_real *load)
@@ -30546,7 +34604,9 @@ SFEM_DEF sfem_status sfem_modal_grab_region(sfem_modal *b, sfem_int count, const
 SFEM_DEF sfem_status sfem_modal_move_handle(sfem_modal *b, sfem_int handle,
                                             const sfem_real target[3], sfem_error *err)
 {
-    SFEM_ASSERT(handle >= 0 && handle < b->def.max_handles && b->handle[handle].used);
+    SFEM_ASSERT(b && target);
+    if (handle < 0 || handle >= b->def.max_handles || !b->handle[handle].used)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "there is no handle %d", (int)handle);
     if (!sfemi_all_finite(target, 3))
         return sfemi_fail(err, SFEM_NOT_FINITE, "the target of handle %d is not finite",
                           (int)handle);
@@ -31044,6 +35104,37 @@ static void sfemi_modal_refit(sfem_modal *b, sfem_real h)
     b->head->h = h;
 }
 
+/* The forces of this step alone, F1, are constant over it: sign 1 adds them to the loads and accelerations at its start
+ * and to the load at its end; -1 takes them from what its end has become. (A spike in the load at its end alone would
+ * give a part of F1 h to the next step, and another part where that has another length.) */
+static void sfemi_modal_add_step_load(sfem_modal *b, sfemi_modal_head *head, int sign)
+{
+    const sfem_real mass = b->reduced->head->mass;
+    size_t k;
+    int c;
+    for (k = 0; k < b->m; ++k) {
+        b->f[k] += sign * b->step_load[k];
+        if (!b->asleep[k]) b->a[k] += sign * b->light[k] * b->step_load[k];
+    }
+    for (c = 0; c < 3; ++c) {
+        head->accel[c] += sign * head->step_force[c] / mass;
+        head->torque[c] += sign * head->step_torque[c];
+        if (sign < 0) continue;
+        b->pose_force[c] += head->step_force[c];
+        b->pose_torque[c] += head->step_torque[c];
+    }
+}
+
+static void sfemi_modal_end_step_load(sfem_modal *b)
+{
+    sfemi_modal_add_step_load(b, b->head, -1);
+    if (b->head->handles > 0) b->head->started = 0; /* what handles hold of the acceleration is found anew */
+    memset(b->step_load, 0, b->stride * sizeof *b->step_load);
+    memset(b->head->step_force, 0, sizeof b->head->step_force);
+    memset(b->head->step_torque, 0, sizeof b->head->step_torque);
+    b->head->step_forces = 0;
+}
+
 SFEM_DEF sfem_status sfem_modal_step(sfem_modal *b, sfem_real h, sfem_error *err)
 {
     SFEM_ASSERT(b);
@@ -31068,10 +35159,13 @@ SFEM_DEF sfem_status sfem_modal_step(sfem_modal *b, sfem_real h, sfem_error *err
     }
     for (k = 0; k < b->m; ++k) b->qp[k] = b->q[k] + h * b->mean[k];
     sfemi_modal_load_at(b, b->qp, b->next);
+    memcpy(b->lasting, b->next, b->stride * sizeof *b->next);
+    for (k = 0; b->head->step_forces && k < b->m; ++k) b->next[k] += b->step_load[k];
     if (held)
         sfemi_modal_wake(b);
     else
         sfemi_modal_wake_up(b);
+    if (b->head->step_forces) sfemi_modal_add_step_load(b, b->head, 1);
     to = *b->head;
     if (exact)
         sfemi_modal_exact(b, h, &to);
@@ -31091,6 +35185,8 @@ SFEM_DEF sfem_status sfem_modal_step(sfem_modal *b, sfem_real h, sfem_error *err
     to.gamma = exact ? 0.5 : gamma;
     if (!held) to.residual = 0, to.iterations = to.rows_left = 0;
     *b->head = to;
+    memcpy(b->next, b->lasting, b->stride * sizeof *b->next);
+    if (to.step_forces) sfemi_modal_end_step_load(b);
     memcpy(b->f, b->next, b->stride * sizeof *b->f);
     for (k = 0; k < b->m; ++k) b->mean[k] = (b->q[k] - before[k]) / h;
     if (!held) sfemi_modal_correct_momentum(b);
@@ -31468,6 +35564,47 @@ SFEM_DEF void sfem_modal_node(const sfem_modal *b, sfem_int node, sfem_real x[3]
         sfemi_cross(spin, arm, rotated);
         for (c = 0; c < 3; ++c) v[c] += frame->v[c] + rotated[c];
     }
+}
+
+typedef struct sfemi_velocity_job {
+    const sfem_modal *modal;
+    const sfem_reduced_view *view;
+    sfem_real *v;
+} sfemi_velocity_job;
+
+enum { SFEMI_VELOCITY_BLOCK = 64 }; /* nodes of a task */
+
+static void sfemi_velocity_task(void *data, sfem_int index)
+{
+    const sfemi_velocity_job *j = (const sfemi_velocity_job *)data;
+    const sfem_int first = index * SFEMI_VELOCITY_BLOCK, left = j->view->count - first;
+    const sfem_int count = left < SFEMI_VELOCITY_BLOCK ? left : SFEMI_VELOCITY_BLOCK;
+    sfem_real x[3];
+    sfem_int i;
+    for (i = first; i < first + count; ++i) sfem_modal_node(j->modal, j->view->node[i], x, j->v + 3 * (size_t)i, NULL);
+}
+
+SFEM_DEF void sfem_modal_velocities(const sfem_modal *b, const sfem_reduced_view *view, sfem_real *v)
+{
+    sfemi_velocity_job j;
+    SFEM_ASSERT(b && view && v && view->reduced == b->reduced);
+    j.modal = b;
+    j.view = view;
+    j.v = v;
+    sfemi_run(&b->def.exec, view->count / SFEMI_VELOCITY_BLOCK + (view->count % SFEMI_VELOCITY_BLOCK > 0),
+              sfemi_velocity_task, &j);
+}
+
+SFEM_DEF void sfem_modal_normals(const sfem_modal *b, const sfem_reduced_view *view, const float *x, float *normal,
+                                 size_t stride)
+{
+    sfemi_corners at = {0, 0, 0, 0};
+    SFEM_ASSERT(b && view && x && normal && view->reduced == b->reduced);
+    SFEM_ASSERT(view->count == b->reduced->head->surface_nodes &&
+                memcmp(view->node, b->reduced->surface_node, (size_t)view->count * sizeof *view->node) == 0);
+    at.floats = x;
+    at.stride = stride;
+    sfemi_surface_normals(b->reduced->head->surface_triangles, b->reduced->surface_tri, &at, view->count, normal, stride);
 }
 
 SFEM_DEF sfem_rigid sfem_modal_rigid(const sfem_modal *b)
@@ -32290,6 +36427,2371 @@ SFEM_DEF sfem_receiver_info sfem_receiver_get_info(const sfem_receiver *receiver
 }
 #endif /* SFEM_NO_LINK */
 
+#ifndef SFEM_NO_EMBED
+/* ============================================================================================
+ * >>embed   a render surface that follows a coarse body
+ *
+ * Points find their tets in a tree of the tets' boxes, or the nearest in one of the surface's triangles. All that
+ * depends on the rest shape alone is computed when the embedding is made; applying it is a few sums a point.
+ *
+ * LITERATURE. Faloutsos, van de Panne, Terzopoulos, Dynamic free-form deformations for animation synthesis, IEEE
+ * Trans. Vis. Comput. Graph. 3(3), 1997. Ericson, Real-time collision detection, 2005, 5.1.5 (the nearest point of a
+ * triangle). Thuermer, Wuethrich, Computing vertex normals from polygonal facets, J. Graphics Tools 3(1), 1998.
+ * ============================================================================================ */
+
+/* ---- a tree of boxes, halved by count: of depth 31 at most ---- */
+
+typedef struct sfemi_box {
+    sfem_real low[3], high[3];
+    sfem_int first, count; /* items of a leaf; count 0: the children are the next box, and */
+    sfem_int right;        /* this one */
+} sfemi_box;
+
+typedef struct sfemi_boxes {
+    sfem_int nodes, *item;
+    sfemi_box *node;
+    const sfem_real *bound; /* [items][6] low and high of each, while the tree is made */
+} sfemi_boxes;
+
+enum { SFEMI_BOX_LEAF = 4, SFEMI_BOX_STACK = 64 };
+
+static sfem_real sfemi_boxes_middle(const sfemi_boxes *t, sfem_int item, int axis)
+{
+    const sfem_real *b = t->bound + 6 * (size_t)item + axis;
+    return b[0] + b[3];
+}
+
+static int sfemi_boxes_before(const sfemi_boxes *t, sfem_int a, sfem_int b, int axis)
+{
+    const sfem_real x = sfemi_boxes_middle(t, a, axis), y = sfemi_boxes_middle(t, b, axis);
+    return x < y || (!(y < x) && a < b);
+}
+
+/* Puts the k least of item[0..count) first [Hoare 1961]. */
+static void sfemi_boxes_select(const sfemi_boxes *t, sfem_int *item, sfem_int count, sfem_int k, int axis)
+{
+    sfem_int low = 0, high = count - 1;
+    while (low < high) {
+        const sfem_int pivot = item[low + (high - low) / 2];
+        sfem_int i = low, j = high, swap;
+        while (i <= j) {
+            while (sfemi_boxes_before(t, item[i], pivot, axis)) ++i;
+            while (sfemi_boxes_before(t, pivot, item[j], axis)) --j;
+            if (i > j) break;
+            swap = item[i];
+            item[i++] = item[j];
+            item[j--] = swap;
+        }
+        if (k <= j) high = j;
+        else if (k >= i) low = i;
+        else return;
+    }
+}
+
+static sfem_int sfemi_boxes_split(sfemi_boxes *t, sfem_int first, sfem_int count)
+{
+    const sfem_int at = t->nodes++;
+    sfemi_box *b = t->node + at;
+    sfem_real low[3] = {0, 0, 0}, high[3] = {0, 0, 0}; /* of the middles; set at i = 0 */
+    sfem_int i, right;
+    int c, axis = 0;
+    for (i = 0; i < count; ++i) {
+        const sfem_real *v = t->bound + 6 * (size_t)t->item[first + i];
+        for (c = 0; c < 3; ++c) {
+            const sfem_real middle = v[c] + v[c + 3];
+            if (i == 0 || v[c] < b->low[c]) b->low[c] = v[c];
+            if (i == 0 || v[c + 3] > b->high[c]) b->high[c] = v[c + 3];
+            if (i == 0 || middle < low[c]) low[c] = middle;
+            if (i == 0 || middle > high[c]) high[c] = middle;
+        }
+    }
+    b->first = first;
+    b->count = count;
+    if (count <= SFEMI_BOX_LEAF) return at;
+    for (c = 1; c < 3; ++c)
+        if (high[c] - low[c] > high[axis] - low[axis]) axis = c;
+    sfemi_boxes_select(t, t->item + first, count, count / 2, axis);
+    b->count = 0;
+    sfemi_boxes_split(t, first, count / 2);
+    right = sfemi_boxes_split(t, first + count / 2, count - count / 2);
+    t->node[at].right = right;
+    return at;
+}
+
+/* The tree of items with bounds [count][6], which it does not need afterwards; count >= 1. */
+static sfem_status sfemi_boxes_make(sfemi_boxes *t, sfem_int count, const sfem_real *bound, sfemi_pool *pool,
+                                    sfem_error *err)
+{
+    sfem_status status = SFEM_OK;
+    sfem_int i;
+    t->nodes = 0;
+    SFEMI_TAKE(sfem_int, t->item, pool, count);
+    SFEMI_TAKE(sfemi_box, t->node, pool, 2 * (size_t)count);
+    t->bound = bound;
+    for (i = 0; i < count; ++i) t->item[i] = i;
+    sfemi_boxes_split(t, 0, count);
+done:
+    return status;
+}
+
+/* The box of some points of x, of which tuple has `width` numbers. */
+static void sfemi_boxes_bound(const sfem_real *x, const sfem_int *tuple, int width, sfem_real slack, sfem_real *bound)
+{
+    int i, c;
+    for (c = 0; c < 3; ++c) {
+        sfem_real low = x[3 * (size_t)tuple[0] + (size_t)c], high = low;
+        for (i = 1; i < width; ++i) {
+            const sfem_real v = x[3 * (size_t)tuple[i] + (size_t)c];
+            low = v < low ? v : low;
+            high = v > high ? v : high;
+        }
+        bound[c] = low - slack * (high - low);
+        bound[c + 3] = high + slack * (high - low);
+    }
+}
+
+static int sfemi_box_holds(const sfemi_box *b, const sfem_real *p)
+{
+    int c;
+    for (c = 0; c < 3; ++c)
+        if (p[c] < b->low[c] || p[c] > b->high[c]) return 0;
+    return 1;
+}
+
+/* The square of the distance of a point. */
+static sfem_real sfemi_box_distance(const sfemi_box *b, const sfem_real *p)
+{
+    sfem_real sum = 0;
+    int c;
+    for (c = 0; c < 3; ++c) {
+        const sfem_real d = p[c] < b->low[c] ? b->low[c] - p[c] : p[c] > b->high[c] ? p[c] - b->high[c] : 0;
+        sum += d * d;
+    }
+    return sum;
+}
+
+/* ---- the tet of a point ---- */
+
+typedef struct sfemi_embed_search {
+    const sfem_mesh *mesh;
+    const sfem_surface *surface; /* of the mesh */
+    sfemi_boxes tets, faces;
+    sfem_real size; /* of the mesh's box, m */
+} sfemi_embed_search;
+
+/* Coordinates of a point in a tet that is not flat. */
+static void sfemi_embed_coordinates(const sfem_mesh *m, sfem_int tet, const sfem_real *p, sfem_real b[4])
+{
+    const sfem_int *v = m->tet + 4 * (size_t)tet;
+    sfem_real g[3][3], d[3];
+    b[0] = 1;
+    b[1] = b[2] = b[3] = 0;
+    if (!sfemi_mesh_gradients(m->x, v, g)) return;
+    sfemi_sub3(p, m->x + 3 * (size_t)v[0], d);
+    sfemi_mesh_barycentric(g, d, b);
+}
+
+/* What sfem_mesh_locate finds, by the tree. */
+static int sfemi_embed_inside(const sfemi_embed_search *s, const sfem_real *p, sfem_int *tet, sfem_real best[4])
+{
+    sfem_int stack[SFEMI_BOX_STACK], i, found = -1;
+    sfem_real b[4], low, inside = -SFEMI_MESH_INSIDE;
+    int depth = 0, k;
+    stack[depth++] = 0;
+    while (depth) {
+        const sfem_int at = stack[--depth];
+        const sfemi_box *box = s->tets.node + at;
+        if (!sfemi_box_holds(box, p)) continue;
+        if (!box->count) {
+            stack[depth++] = box->right;
+            stack[depth++] = at + 1;
+        }
+        for (i = box->first; i < box->first + box->count; ++i) {
+            const sfem_int t = s->tets.item[i];
+            sfemi_embed_coordinates(s->mesh, t, p, b);
+            for (low = b[0], k = 1; k < 4; ++k)
+                if (b[k] < low) low = b[k];
+            if (low < inside || (low <= inside && (found < 0 || t > found))) continue;
+            inside = low;
+            found = t;
+            memcpy(best, b, sizeof b);
+        }
+    }
+    if (found < 0) return 0;
+    sfemi_mesh_clamp(best);
+    *tet = found;
+    return 1;
+}
+
+/* The square of the distance of p from a triangle, and coordinates w of the nearest point [Ericson 5.1.5]. */
+static sfem_real sfemi_embed_triangle(const sfem_real *p, const sfem_real *const corner[3], sfem_real w[3])
+{
+    sfem_real ab[3], ac[3], d[3], near[3], v[3][2], e[3], sum;
+    int k, c;
+    sfemi_sub3(corner[1], corner[0], ab);
+    sfemi_sub3(corner[2], corner[0], ac);
+    for (k = 0; k < 3; ++k) {
+        sfemi_sub3(p, corner[k], d);
+        v[k][0] = sfemi_dot3(ab, d);
+        v[k][1] = sfemi_dot3(ac, d);
+    }
+    e[0] = v[1][0] * v[2][1] - v[2][0] * v[1][1]; /* areas opposite the corners */
+    e[1] = v[2][0] * v[0][1] - v[0][0] * v[2][1];
+    e[2] = v[0][0] * v[1][1] - v[1][0] * v[0][1];
+    w[0] = w[1] = w[2] = 0;
+    if (v[0][0] <= 0 && v[0][1] <= 0) w[0] = 1;
+    else if (v[1][0] >= 0 && v[1][1] <= v[1][0]) w[1] = 1;
+    else if (v[2][1] >= 0 && v[2][0] <= v[2][1]) w[2] = 1;
+    else if (e[2] <= 0 && v[0][0] >= 0 && v[1][0] <= 0) w[1] = v[0][0] / (v[0][0] - v[1][0]), w[0] = 1 - w[1];
+    else if (e[1] <= 0 && v[0][1] >= 0 && v[2][1] <= 0) w[2] = v[0][1] / (v[0][1] - v[2][1]), w[0] = 1 - w[2];
+    else if (e[0] <= 0 && v[1][1] >= v[1][0] && v[2][0] >= v[2][1]) {
+        w[2] = (v[1][1] - v[1][0]) / (v[1][1] - v[1][0] + v[2][0] - v[2][1]);
+        w[1] = 1 - w[2];
+    } else {
+        sum = e[0] + e[1] + e[2];
+        for (k = 0; k < 3; ++k) w[k] = e[k] / sum;
+    }
+    for (c = 0; c < 3; ++c) near[c] = w[0] * corner[0][c] + w[1] * corner[1][c] + w[2] * corner[2][c];
+    sfemi_sub3(p, near, d);
+    return sfemi_dot3(d, d);
+}
+
+static sfem_real sfemi_embed_face(const sfemi_embed_search *s, sfem_int face, const sfem_real *p, sfem_real near[3])
+{
+    const sfem_real *corner[3];
+    sfem_real w[3], d;
+    int k;
+    for (k = 0; k < 3; ++k) corner[k] = s->mesh->x + 3 * (size_t)s->surface->tri[3 * (size_t)face + (size_t)k];
+    d = sfemi_embed_triangle(p, corner, w);
+    for (k = 0; k < 3; ++k) near[k] = w[0] * corner[0][k] + w[1] * corner[1][k] + w[2] * corner[2][k];
+    return d;
+}
+
+/* The surface's point that is nearest to p. Many faces are equally near where that is a corner or an edge: of their
+ * tets the one in whose coordinates p is the least far out. *d, the least square of a distance, is found first; then *d
+ * is what still counts as equal. */
+static void sfemi_embed_visit(const sfemi_embed_search *s, const sfem_real *p, int choose, sfem_real *d, sfem_int *tet)
+{
+    sfem_int stack[SFEMI_BOX_STACK], i;
+    sfem_real near[3], b[4], out, least = 0;
+    int depth = 0;
+    stack[depth++] = 0;
+    while (depth) {
+        const sfem_int at = stack[--depth];
+        const sfemi_box *box = s->faces.node + at;
+        if (sfemi_box_distance(box, p) > *d) continue;
+        if (!box->count) {
+            const int right = sfemi_box_distance(s->faces.node + box->right, p) < sfemi_box_distance(box + 1, p);
+            stack[depth++] = right ? at + 1 : box->right;
+            stack[depth++] = right ? box->right : at + 1;
+        }
+        for (i = box->first; i < box->first + box->count; ++i) {
+            const sfem_int face = s->faces.item[i], t = s->surface->tet[face];
+            const sfem_real now = sfemi_embed_face(s, face, p, near);
+            if (now > *d) continue;
+            if (!choose) {
+                *d = now;
+                continue;
+            }
+            sfemi_embed_coordinates(s->mesh, t, p, b);
+            out = fabs(b[0]) + fabs(b[1]) + fabs(b[2]) + fabs(b[3]);
+            if (*tet >= 0 && (out > least || (out >= least && t > *tet))) continue;
+            least = out;
+            *tet = t;
+        }
+    }
+}
+
+static void sfemi_embed_nearest(const sfemi_embed_search *s, const sfem_real *p, sfem_int *tet, sfem_real b[4],
+                                sfem_real *distance)
+{
+    sfem_real d = 1e300, equal;
+    *tet = -1;
+    sfemi_embed_visit(s, p, 0, &d, tet);
+    *distance = sqrt(d);
+    equal = *distance * (1 + 1e-9) + 1e-12 * s->size;
+    equal *= equal;
+    sfemi_embed_visit(s, p, 1, &equal, tet);
+    sfemi_embed_coordinates(s->mesh, *tet, p, b);
+}
+
+static void sfemi_embed_close(sfemi_embed_search *s, sfem_surface *surface, sfemi_pool *pool)
+{
+    sfem_surface_free(surface);
+    sfemi_pool_free(pool);
+    memset(s, 0, sizeof *s);
+}
+
+/* The trees of a mesh. */
+static sfem_status sfemi_embed_open(sfemi_embed_search *s, const sfem_mesh *m, sfem_surface *surface, sfemi_pool *pool,
+                                    sfem_error *err)
+{
+    sfem_status status = SFEM_OK;
+    sfem_real *bound = NULL;
+    sfem_int i;
+    int c;
+    memset(s, 0, sizeof *s);
+    s->mesh = m;
+    s->surface = surface;
+    SFEMI_TRY(sfem_mesh_surface(m, &pool->allocator, surface, err));
+    SFEMI_TAKE(sfem_real, bound, pool, 6 * (size_t)m->tets);
+    for (i = 0; i < m->tets; ++i)
+        sfemi_boxes_bound(m->x, m->tet + 4 * (size_t)i, 4, 4 * SFEMI_MESH_INSIDE, bound + 6 * (size_t)i);
+    SFEMI_TRY(sfemi_boxes_make(&s->tets, m->tets, bound, pool, err));
+    for (c = 0; c < 3; ++c) s->size += s->tets.node->high[c] - s->tets.node->low[c];
+    if (surface->triangles < 1) {
+        status = sfemi_fail(err, SFEM_BAD_MESH, "the mesh has no surface: its tets lie upon one another");
+        goto done;
+    }
+    SFEMI_TAKE(sfem_real, bound, pool, 6 * (size_t)surface->triangles);
+    for (i = 0; i < surface->triangles; ++i)
+        sfemi_boxes_bound(m->x, surface->tri + 3 * (size_t)i, 3, 0, bound + 6 * (size_t)i);
+    SFEMI_TRY(sfemi_boxes_make(&s->faces, surface->triangles, bound, pool, err));
+done:
+    return status;
+}
+
+/* ---- making one ---- */
+
+struct sfem_embed {
+    sfemi_pool pool;
+    sfem_exec exec;
+    sfem_embed_info info;
+    sfem_real *x;        /* [points][3] */
+    sfem_real *bary;     /* [points][4] */
+    sfem_int *node;      /* [points][4] */
+    sfem_int *tet;       /* [points] */
+    sfem_real *distance; /* [points] */
+    sfem_int *tri;       /* [triangles][3] */
+    sfem_int tets, *corner; /* the mesh's [tets][4] */
+    /* normals; NULL where there are none */
+    float *normal;       /* [points][3] at rest, unit length or zero */
+    float *share;        /* [points][4] bary, or 0 where that is negative */
+    sfem_int live, *of_live; /* [live] the tets of nodes that have points */
+    float *edge;         /* [live][9] E^T/6, the columns of E the edges from node 0 at rest: V cof F = cof(D) E^T/6 */
+    sfem_int *start, *of; /* [nodes+1], [4 live] the live tets of each node that has points */
+    float *volume;       /* [nodes] 1/(that of its tets), or 0 */
+    float *tets_cof;     /* [live][3][4] V cof F, as N_k */
+    float *cof;          /* [nodes][3][4] N_k by columns; the last row is 0 */
+};
+
+SFEM_DEF sfem_embed_def sfem_default_embed_def(void)
+{
+    sfem_embed_def d;
+    memset(&d, 0, sizeof d);
+    d.cookie = SFEMI_COOKIE_EMBED;
+    return d;
+}
+
+static sfem_status sfemi_embed_check(const sfem_embed_def *d, sfem_error *err)
+{
+    size_t k;
+    sfem_int i;
+    if (!sfemi_made_by_default(d->cookie, SFEMI_COOKIE_EMBED, "sfem_default_embed_def", err)) return SFEM_BAD_ARGUMENT;
+    if (d->points < 1 || !d->x)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "there are no points to embed: set points and x");
+    if (d->triangles < 0 || (d->triangles > 0 && !d->tri))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "%ld triangles without an array of them: set triangles and tri",
+                          (long)d->triangles);
+    if (d->points > INT32_MAX / 4 || d->triangles > INT32_MAX / 4)
+        return sfemi_fail(err, SFEM_TOO_LARGE, "%ld points and %ld triangles cannot be numbered", (long)d->points,
+                          (long)d->triangles);
+    for (k = 0; k < 3 * (size_t)d->points; ++k) {
+        i = (sfem_int)(k / 3);
+        if (!sfemi_finite(d->x[k]))
+            return sfemi_fail_at(err, SFEM_NOT_FINITE, i, -1, "point %ld is not finite", (long)i);
+        if (fabs(d->x[k]) > 1e100)
+            return sfemi_fail_at(err, SFEM_BAD_ARGUMENT, i, -1, "point %ld is at %g m: beyond 1e100", (long)i, d->x[k]);
+        if (d->normal && !sfemi_finite(d->normal[k]))
+            return sfemi_fail_at(err, SFEM_NOT_FINITE, i, -1, "the normal of point %ld is not finite", (long)i);
+    }
+    for (k = 0; k < 3 * (size_t)d->triangles; ++k)
+        if (d->tri[k] < 0 || d->tri[k] >= d->points)
+            return sfemi_fail(err, SFEM_BAD_MESH, "triangle %ld names point %ld, not in 0 .. %ld", (long)(k / 3),
+                              (long)d->tri[k], (long)d->points - 1);
+    return SFEM_OK;
+}
+
+enum { SFEMI_EMBED_BLOCK = 1024 }; /* points, tets or nodes of a task */
+
+typedef struct sfemi_embed_job {
+    sfem_embed *embed;
+    const sfemi_embed_search *search;
+    const sfem_real *u;
+    char *x, *n; /* where the first point goes, or NULL */
+    size_t stride;
+    int floats;
+} sfemi_embed_job;
+
+static void sfemi_embed_locate_task(void *data, sfem_int index)
+{
+    const sfemi_embed_job *j = (const sfemi_embed_job *)data;
+    sfem_embed *e = j->embed;
+    sfem_int i = index * SFEMI_EMBED_BLOCK, end = i + SFEMI_EMBED_BLOCK;
+    if (end > e->info.points) end = e->info.points;
+    for (; i < end; ++i) {
+        const sfem_real *p = e->x + 3 * (size_t)i;
+        sfem_real *b = e->bary + 4 * (size_t)i;
+        e->distance[i] = 0;
+        if (!sfemi_embed_inside(j->search, p, e->tet + i, b))
+            sfemi_embed_nearest(j->search, p, e->tet + i, b, e->distance + i);
+        memcpy(e->node + 4 * (size_t)i, j->search->mesh->tet + 4 * (size_t)e->tet[i], 4 * sizeof *e->node);
+    }
+}
+
+static sfem_int sfemi_embed_blocks(sfem_int count) { return (count - 1) / SFEMI_EMBED_BLOCK + 1; }
+
+/* Unit normals at rest, given or of the triangles. */
+static sfem_status sfemi_embed_normals(sfem_embed *e, const sfem_embed_def *d, sfem_error *err)
+{
+    const sfem_allocator *al = &e->pool.allocator;
+    const sfem_int n = d->points;
+    sfem_status status = SFEM_OK;
+    sfem_real *sum = NULL;
+    sfem_int *first = NULL, i;
+    int k, c;
+    SFEMI_NEW(sfem_real, sum, al, 3 * (size_t)n);
+    SFEMI_NEW(sfem_int, first, al, n);
+    if (!d->normal) SFEMI_TRY(sfemi_mesh_weld(n, d->x, al, first, err));
+    for (i = 0; !d->normal && i < d->triangles; ++i) {
+        const sfem_int *v = d->tri + 3 * (size_t)i;
+        sfem_real edge[3][3], normal[3], area;
+        for (k = 0; k < 3; ++k) sfemi_sub3(d->x + 3 * (size_t)v[(k + 1) % 3], d->x + 3 * (size_t)v[k], edge[k]);
+        sfemi_cross(edge[0], edge[1], normal);
+        area = sqrt(sfemi_dot3(normal, normal));
+        for (k = 0; area > 0 && k < 3; ++k) { /* the angle at corner k */
+            const sfem_real angle = atan2(area, -sfemi_dot3(edge[k], edge[(k + 2) % 3]));
+            for (c = 0; c < 3; ++c) sum[3 * (size_t)first[v[k]] + (size_t)c] += angle * normal[c] / area;
+        }
+    }
+    for (i = 0; i < n; ++i) {
+        const sfem_real *from = d->normal ? d->normal + 3 * (size_t)i : sum + 3 * (size_t)first[i];
+        const sfem_real big = fmax(fabs(from[0]), fmax(fabs(from[1]), fabs(from[2])));
+        sfem_real v[3], length;
+        for (c = 0; c < 3; ++c) v[c] = big > 0 ? from[c] / big : 0; /* no overflow in the square */
+        length = sqrt(sfemi_dot3(v, v));
+        for (c = 0; c < 3; ++c) e->normal[3 * (size_t)i + (size_t)c] = (float)(length > 0 ? v[c] / length : 0);
+    }
+done:
+    sfemi_delete(al, first);
+    sfemi_delete(al, sum);
+    return status;
+}
+
+/* The tets that N_k of the points' nodes take: how many, and, where there is room, which. */
+static sfem_int sfemi_embed_live(const sfem_mesh *m, const unsigned char *used, sfem_int *out)
+{
+    sfem_int t, n = 0;
+    for (t = 0; t < m->tets; ++t) {
+        const sfem_int *v = m->tet + 4 * (size_t)t;
+        if (!used[v[0]] && !used[v[1]] && !used[v[2]] && !used[v[3]]) continue;
+        if (out) out[n] = t;
+        ++n;
+    }
+    return n;
+}
+
+/* What N_k takes. */
+static sfem_status sfemi_embed_tets(sfem_embed *e, const sfem_mesh *m, sfem_error *err)
+{
+    sfem_status status = SFEM_OK;
+    unsigned char *used = NULL;
+    sfem_real *volume = NULL;
+    sfem_int t, i;
+    int k, c;
+    SFEMI_NEW(unsigned char, used, &e->pool.allocator, m->nodes);
+    for (i = 0; i < e->info.points; ++i)
+        for (k = 0; k < 4; ++k) used[e->node[4 * (size_t)i + (size_t)k]] = 1;
+    e->live = sfemi_embed_live(m, used, NULL);
+    SFEMI_TAKE(sfem_int, e->of_live, &e->pool, e->live);
+    SFEMI_TAKE(float, e->edge, &e->pool, 9 * (size_t)e->live);
+    SFEMI_TAKE(float, e->tets_cof, &e->pool, 12 * (size_t)e->live);
+    SFEMI_TAKE(float, e->cof, &e->pool, 12 * (size_t)m->nodes);
+    SFEMI_TAKE(float, e->volume, &e->pool, m->nodes);
+    SFEMI_NEW(sfem_real, volume, &e->pool.allocator, m->nodes);
+    SFEMI_TAKE(sfem_int, e->start, &e->pool, (size_t)m->nodes + 2);
+    SFEMI_TAKE(sfem_int, e->of, &e->pool, 4 * (size_t)e->live);
+    sfemi_embed_live(m, used, e->of_live);
+    for (t = 0; t < e->live; ++t) {
+        const sfem_int *v = m->tet + 4 * (size_t)e->of_live[t];
+        float *edge = e->edge + 9 * (size_t)t;
+        const sfem_real own =
+            sfemi_volume6(m->x + 3 * (size_t)v[0], m->x + 3 * (size_t)v[1], m->x + 3 * (size_t)v[2],
+                          m->x + 3 * (size_t)v[3]) / 6;
+        for (k = 0; k < 4; ++k) {
+            volume[v[k]] += own;
+            e->start[v[k] + 2] += used[v[k]];
+            for (c = 0; k < 3 && c < 3; ++c)
+                edge[3 * k + c] =
+                    (float)((m->x[3 * (size_t)v[k + 1] + (size_t)c] - m->x[3 * (size_t)v[0] + (size_t)c]) / 6);
+        }
+    }
+    for (i = 0; i < m->nodes; ++i) {
+        e->start[i + 2] += e->start[i + 1];
+        e->volume[i] = (float)(volume[i] > 0 ? 1 / volume[i] : 0);
+    }
+    for (t = 0; t < e->live; ++t)
+        for (k = 0; k < 4; ++k) {
+            const sfem_int v = m->tet[4 * (size_t)e->of_live[t] + (size_t)k];
+            if (used[v]) e->of[e->start[v + 1]++] = t;
+        }
+done:
+    sfemi_delete(&e->pool.allocator, volume);
+    sfemi_delete(&e->pool.allocator, used);
+    return status;
+}
+
+SFEM_DEF void sfem_embed_free(sfem_embed *e)
+{
+    if (e) sfemi_pool_free(&e->pool);
+}
+
+SFEM_DEF sfem_status sfem_embed_create(const sfem_mesh *mesh, const sfem_embed_def *def, sfem_embed **out,
+                                       sfem_error *err)
+{
+    sfem_status status = SFEM_OK;
+    sfemi_embed_search search;
+    sfemi_embed_job job;
+    sfem_surface surface;
+    sfemi_pool trees;
+    sfem_embed *e = NULL;
+    sfem_int i;
+    SFEM_ASSERT(mesh && def && out);
+    memset(&search, 0, sizeof search);
+    memset(&surface, 0, sizeof surface);
+    memset(&job, 0, sizeof job);
+    trees = sfemi_pool_of(&def->allocator);
+    SFEMI_TRY(sfemi_embed_check(def, err));
+    SFEMI_TRY(sfem_mesh_check(mesh, NULL, err));
+    SFEMI_TRY(sfemi_embed_open(&search, mesh, &surface, &trees, err));
+    SFEMI_NEW_OWNER(sfem_embed, e, &def->allocator);
+    e->exec = def->exec;
+    e->info.points = def->points;
+    e->info.triangles = def->triangles;
+    e->info.nodes = mesh->nodes;
+    e->info.farthest = -1;
+    e->tets = mesh->tets;
+    SFEMI_TAKE(sfem_real, e->x, &e->pool, 3 * (size_t)def->points);
+    SFEMI_TAKE(sfem_real, e->bary, &e->pool, 4 * (size_t)def->points);
+    SFEMI_TAKE(sfem_int, e->node, &e->pool, 4 * (size_t)def->points);
+    SFEMI_TAKE(sfem_int, e->tet, &e->pool, def->points);
+    SFEMI_TAKE(sfem_real, e->distance, &e->pool, def->points);
+    SFEMI_TAKE(sfem_int, e->tri, &e->pool, 3 * (size_t)def->triangles + 1);
+    SFEMI_TAKE(sfem_int, e->corner, &e->pool, 4 * (size_t)mesh->tets);
+    memcpy(e->x, def->x, 3 * (size_t)def->points * sizeof *e->x);
+    memcpy(e->corner, mesh->tet, 4 * (size_t)mesh->tets * sizeof *e->corner);
+    if (def->triangles) memcpy(e->tri, def->tri, 3 * (size_t)def->triangles * sizeof *e->tri);
+    job.embed = e;
+    job.search = &search;
+    sfemi_run(&def->exec, sfemi_embed_blocks(def->points), sfemi_embed_locate_task, &job);
+    if (def->triangles || def->normal) {
+        SFEMI_TAKE(float, e->normal, &e->pool, 3 * (size_t)def->points);
+        SFEMI_TAKE(float, e->share, &e->pool, 4 * (size_t)def->points);
+        for (i = 0; i < 4 * def->points; ++i) e->share[i] = e->bary[i] > 0 ? (float)e->bary[i] : 0;
+        SFEMI_TRY(sfemi_embed_tets(e, mesh, err));
+        SFEMI_TRY(sfemi_embed_normals(e, def, err));
+    }
+    for (i = 0; i < def->points; ++i) {
+        if (!(e->distance[i] > 0)) continue;
+        ++e->info.outside;
+        if (!(e->distance[i] > e->info.distance)) continue;
+        e->info.farthest = i;
+        e->info.distance = e->distance[i];
+    }
+    e->info.bytes = sizeof *e + (size_t)def->points * (8 * sizeof(sfem_real) + 5 * sizeof(sfem_int)) +
+                    3 * (size_t)def->triangles * sizeof(sfem_int) + 4 * (size_t)mesh->tets * sizeof(sfem_int);
+    if (e->normal)
+        e->info.bytes += 7 * (size_t)def->points * sizeof(float) + (size_t)mesh->nodes * (13 * sizeof(float) + 4) +
+                         (size_t)e->live * (21 * sizeof(float) + 5 * sizeof(sfem_int));
+    *out = e;
+    e = NULL;
+done:
+    sfem_embed_free(e);
+    sfemi_embed_close(&search, &surface, &trees);
+    return status;
+}
+
+SFEM_DEF sfem_embed_info sfem_embed_get_info(const sfem_embed *e)
+{
+    SFEM_ASSERT(e);
+    return e->info;
+}
+
+SFEM_DEF void sfem_embed_point(const sfem_embed *e, sfem_int point, sfem_int *tet, sfem_real bary[4],
+                               sfem_real *distance)
+{
+    SFEM_ASSERT(e && point >= 0 && point < e->info.points);
+    if (tet) *tet = e->tet[point];
+    if (bary) memcpy(bary, e->bary + 4 * (size_t)point, 4 * sizeof *bary);
+    if (distance) *distance = e->distance[point];
+}
+
+/* ---- applying it ---- */
+
+/* V cof F = cof(D) E^T/6 of each tet, D the deformed edges; in floats but for the displacements' differences. */
+static void sfemi_embed_tets_task(void *data, sfem_int index)
+{
+    const sfemi_embed_job *j = (const sfemi_embed_job *)data;
+    const sfem_embed *e = j->embed;
+    const sfem_real *u = j->u;
+    sfem_int t = index * SFEMI_EMBED_BLOCK, end = t + SFEMI_EMBED_BLOCK;
+    int k, c, r;
+    if (end > e->live) end = e->live;
+    for (; t < end; ++t) {
+        const sfem_int *v = e->corner + 4 * (size_t)e->of_live[t];
+        const sfem_real *u0 = u + 3 * (size_t)v[0];
+        const float *edge = e->edge + 9 * (size_t)t;
+        float d[3][3], cof[3][4], *out = e->tets_cof + 12 * (size_t)t;
+        for (k = 0; k < 3; ++k) {
+            const sfem_real *own = u + 3 * (size_t)v[k + 1];
+            d[k][0] = 6 * edge[3 * k] + (float)(own[0] - u0[0]);
+            d[k][1] = 6 * edge[3 * k + 1] + (float)(own[1] - u0[1]);
+            d[k][2] = 6 * edge[3 * k + 2] + (float)(own[2] - u0[2]);
+        }
+        for (k = 0; k < 3; ++k) {
+            const float *a = d[(k + 1) % 3], *b = d[(k + 2) % 3];
+            cof[k][0] = a[1] * b[2] - a[2] * b[1];
+            cof[k][1] = a[2] * b[0] - a[0] * b[2];
+            cof[k][2] = a[0] * b[1] - a[1] * b[0];
+            cof[k][3] = 0;
+        }
+        for (c = 0; c < 3; ++c)
+            for (r = 0; r < 4; ++r)
+                out[4 * c + r] = (cof[0][r] * edge[c] + cof[1][r] * edge[3 + c]) + cof[2][r] * edge[6 + c];
+    }
+}
+
+static void sfemi_embed_nodes_task(void *data, sfem_int index)
+{
+    const sfemi_embed_job *j = (const sfemi_embed_job *)data;
+    const sfem_embed *e = j->embed;
+    sfem_int i = index * SFEMI_EMBED_BLOCK, end = i + SFEMI_EMBED_BLOCK, k;
+    int c;
+    if (end > e->info.nodes) end = e->info.nodes;
+    for (; i < end; ++i) {
+        float sum[12] = {0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0};
+        for (k = e->start[i]; k < e->start[i + 1]; ++k) {
+            const float *from = e->tets_cof + 12 * (size_t)e->of[k];
+            for (c = 0; c < 12; ++c) sum[c] += from[c];
+        }
+        for (c = 0; c < 12; ++c) e->cof[12 * (size_t)i + (size_t)c] = sum[c] * e->volume[i];
+    }
+}
+
+static SFEMI_INLINE void sfemi_embed_store(char *to, int floats, const sfem_real v[3])
+{
+    if (floats) {
+        float *f = (float *)(void *)to;
+        f[0] = (float)v[0];
+        f[1] = (float)v[1];
+        f[2] = (float)v[2];
+    } else
+        memcpy(to, v, 3 * sizeof *v);
+}
+
+/* sum_k w_k N_k n_0 to unit length, in floats, four at a time; zero for zero. w need not sum to 1. */
+static SFEMI_INLINE void sfemi_embed_normal(const float *cof, const sfem_int *v, const float *w, const float *rest,
+                                            float n[4])
+{
+    const float *p = cof + 12 * (size_t)v[0], *q = cof + 12 * (size_t)v[1], *s = cof + 12 * (size_t)v[2];
+    const float *t = cof + 12 * (size_t)v[3], a = w[0], b = w[1], c = w[2], d = w[3];
+    float size;
+    int r;
+    for (r = 0; r < 4; ++r)
+        n[r] = ((a * p[r] + b * q[r]) + (c * s[r] + d * t[r])) * rest[0] +
+               ((a * p[4 + r] + b * q[4 + r]) + (c * s[4 + r] + d * t[4 + r])) * rest[1] +
+               ((a * p[8 + r] + b * q[8 + r]) + (c * s[8 + r] + d * t[8 + r])) * rest[2];
+    size = n[0] * n[0] + n[1] * n[1] + n[2] * n[2];
+    size = size > 0 ? 1 / sqrtf(size) : 0;
+    for (r = 0; r < 4; ++r) n[r] *= size;
+}
+
+/* Both unrolled by hand and with pointers of their own: compilers do not see it, which takes half as much time
+ * again. */
+static void sfemi_embed_places(const sfemi_embed_job *j, size_t i, size_t end)
+{
+    const sfem_embed *e = j->embed;
+    const sfem_int *v = e->node + 4 * i;
+    const sfem_real *w = e->bary + 4 * i, *rest = e->x + 3 * i, *u = j->u;
+    const size_t stride = j->stride;
+    const int floats = j->floats;
+    char *out = j->x + i * stride;
+    for (; i < end; ++i, v += 4, w += 4, rest += 3, out += stride) {
+        const sfem_real *a = u + 3 * (size_t)v[0], *b = u + 3 * (size_t)v[1];
+        const sfem_real *d = u + 3 * (size_t)v[2], *f = u + 3 * (size_t)v[3];
+        sfem_real to[3];
+        to[0] = rest[0] + ((w[0] * a[0] + w[1] * b[0]) + (w[2] * d[0] + w[3] * f[0]));
+        to[1] = rest[1] + ((w[0] * a[1] + w[1] * b[1]) + (w[2] * d[1] + w[3] * f[1]));
+        to[2] = rest[2] + ((w[0] * a[2] + w[1] * b[2]) + (w[2] * d[2] + w[3] * f[2]));
+        sfemi_embed_store(out, floats, to);
+    }
+}
+
+static void sfemi_embed_rotated(const sfemi_embed_job *j, size_t i, size_t end)
+{
+    const sfem_embed *e = j->embed;
+    const sfem_int *v = e->node + 4 * i;
+    const float *w = e->share + 4 * i, *rest = e->normal + 3 * i, *cof = e->cof;
+    const size_t stride = j->stride;
+    const int floats = j->floats;
+    char *out = j->n + i * stride;
+    for (; i < end; ++i, v += 4, w += 4, rest += 3, out += stride) {
+        float n[4];
+        sfemi_embed_normal(cof, v, w, rest, n);
+        if (floats) memcpy(out, n, 3 * sizeof *n);
+        else {
+            sfem_real to[3];
+            to[0] = (sfem_real)n[0];
+            to[1] = (sfem_real)n[1];
+            to[2] = (sfem_real)n[2];
+            sfemi_embed_store(out, 0, to);
+        }
+    }
+}
+
+static void sfemi_embed_points_task(void *data, sfem_int index)
+{
+    const sfemi_embed_job *j = (const sfemi_embed_job *)data;
+    size_t i = (size_t)index * SFEMI_EMBED_BLOCK, end = i + SFEMI_EMBED_BLOCK;
+    if (end > (size_t)j->embed->info.points) end = (size_t)j->embed->info.points;
+    if (j->x) sfemi_embed_places(j, i, end);
+    if (j->n) sfemi_embed_rotated(j, i, end);
+}
+
+static void sfemi_embed_apply(sfemi_embed_job *j)
+{
+    sfem_embed *e = j->embed;
+    SFEM_ASSERT(e && j->u && (!j->n || e->normal));
+    if (j->n) {
+        sfemi_run(&e->exec, sfemi_embed_blocks(e->live), sfemi_embed_tets_task, j);
+        sfemi_run(&e->exec, sfemi_embed_blocks(e->info.nodes), sfemi_embed_nodes_task, j);
+    }
+    sfemi_run(&e->exec, sfemi_embed_blocks(e->info.points), sfemi_embed_points_task, j);
+}
+
+SFEM_DEF void sfem_embed_positions(sfem_embed *e, const sfem_real *u, sfem_real *x, sfem_real *n)
+{
+    sfemi_embed_job j;
+    memset(&j, 0, sizeof j);
+    j.embed = e;
+    j.u = u;
+    j.x = (char *)x;
+    j.n = (char *)n;
+    j.stride = 3 * sizeof *x;
+    sfemi_embed_apply(&j);
+}
+
+SFEM_DEF void sfem_embed_to_floats(sfem_embed *e, const sfem_real *u, float *x, float *n, size_t stride)
+{
+    sfemi_embed_job j;
+    SFEM_ASSERT(stride >= 3 * sizeof(float) && stride % sizeof(float) == 0);
+    memset(&j, 0, sizeof j);
+    j.embed = e;
+    j.u = u;
+    j.x = (char *)x;
+    j.n = (char *)n;
+    j.stride = stride;
+    j.floats = 1;
+    sfemi_embed_apply(&j);
+}
+
+#ifndef SFEM_NO_DAMAGE
+/* ---- broken bodies ----
+ *
+ * The planes of >>fragments, of the tets with nodes of several pieces, are triangles T: a cell's side of one is behind
+ * it. S are the render triangles. Both are cut along the segments in which they meet:
+ *   1. tets with several pieces, and beyond the mesh's surface prisms of three tets, whose outer nodes go with the
+ *   inner 2. T: (edge, face, tet) of each edge between pieces, with points that are centroids of simplices
+ *   3. each pair S, T that meets has a segment. Its ends are hits: an edge of S meets T, or an edge of T meets S
+ *   4. along an edge of S hits change the piece; along an edge of T they change how often S winds round the place
+ *   5. the part of S in a piece is bounded by intervals of its edges and by segments, and so is the part of T inside.
+ *      Both chains close, because both have each segment, in opposite directions. They are triangulated in the plane.
+ * All is decided by the signs of volumes of four points. Points of S are moved at random by 1e-5 of an edge, and no
+ * sign is taken that rounding could change: else other random numbers are tried, eight times. So all signs are those of
+ * one arrangement in general position, and 5 holds whatever the input was. */
+
+/* A map from four numbers to their own number, in the order of their coming. */
+typedef struct sfemi_table {
+    sfem_int count, room, slots; /* slots: a power of two, twice the room */
+    sfem_int *key;               /* [room][4] */
+    sfem_int *slot;              /* [slots] number + 1 */
+} sfemi_table;
+
+static size_t sfemi_table_slot(const sfemi_table *t, const sfem_int key[4])
+{
+    uint64_t h = 0x9e3779b97f4a7c15u;
+    int k;
+    for (k = 0; k < 4; ++k) {
+        h = (h ^ (uint64_t)(uint32_t)key[k]) * 0xbf58476d1ce4e5b9u;
+        h ^= h >> 29;
+    }
+    for (;; ++h) {
+        const size_t at = (size_t)h & (size_t)(t->slots - 1);
+        if (!t->slot[at] || !memcmp(t->key + 4 * (size_t)(t->slot[at] - 1), key, 4 * sizeof *key)) return at;
+    }
+}
+
+/* The number of a key, or -1. */
+static sfem_int sfemi_table_find(const sfemi_table *t, const sfem_int key[4])
+{
+    return t->count ? t->slot[sfemi_table_slot(t, key)] - 1 : -1;
+}
+
+/* The number of a key, which is new where it is the count before. */
+static sfem_status sfemi_table_add(sfemi_table *t, const sfem_int key[4], sfem_int *number, sfemi_pool *pool,
+                                   sfem_error *err)
+{
+    sfem_status status = SFEM_OK;
+    size_t at;
+    if (t->count == t->room) {
+        const sfem_int *before = t->key;
+        sfem_int i;
+        if (t->room > INT32_MAX / 8) return sfemi_fail(err, SFEM_TOO_LARGE, "the cut surface cannot be numbered");
+        t->room = t->room ? 2 * t->room : 64;
+        t->slots = 2 * t->room;
+        SFEMI_TAKE(sfem_int, t->key, pool, 4 * (size_t)t->room);
+        SFEMI_TAKE(sfem_int, t->slot, pool, t->slots);
+        if (t->count) memcpy(t->key, before, 4 * (size_t)t->count * sizeof *t->key);
+        for (i = 0; i < t->count; ++i) t->slot[sfemi_table_slot(t, t->key + 4 * (size_t)i)] = i + 1;
+    }
+    at = sfemi_table_slot(t, key);
+    if (!t->slot[at]) {
+        memcpy(t->key + 4 * (size_t)t->count, key, 4 * sizeof *key);
+        t->slot[at] = ++t->count;
+    }
+    *number = t->slot[at] - 1;
+done:
+    return status;
+}
+
+typedef struct sfemi_clip_face {
+    sfem_int corner[3]; /* points of T, counterclockwise seen from piece[1] */
+    sfem_int piece[2];  /* behind and in front */
+    sfem_int tet;
+} sfemi_clip_face;
+
+typedef struct sfemi_clip_hit {
+    sfem_int kind;    /* 0: an edge of S meets a T, 1: an edge of T meets an S */
+    sfem_int edge[2]; /* ascending */
+    sfem_int face;    /* the triangle, or below 0: a gap, where the piece changes and no T is, from */
+    sfem_int gap[2];  /* this piece to that */
+    int sign;         /* 1: the edge goes from behind to the front */
+    sfem_real t, w[3]; /* where: along the edge; coordinates in the triangle */
+} sfemi_clip_hit;
+
+typedef struct sfemi_clip_segment {
+    sfem_int s, t, start, end; /* triangles, hits. The front of T and the inside of S are on the left, in S and in T */
+} sfemi_clip_segment;
+
+enum { SFEMI_CLIP_TRIES = 8, SFEMI_CLIP_REST = -2 };
+enum { SFEMI_CLIP_POINT, SFEMI_CLIP_HIT, SFEMI_CLIP_CORNER }; /* kinds of vertices: of S, where S and T meet, of T */
+
+/* One plane of the arrangement: vertices, directed edges with pieces, triangles. */
+typedef struct sfemi_clip_plane {
+    sfem_int count, room, *id; /* [count] 4 number + kind */
+    sfem_real *xy;             /* [count][2] */
+    sfem_int edges, *edge;     /* [edges][3] from, to, piece (-1: used up) */
+    sfem_int loops, *loop_end; /* [loops + 1] */
+    sfem_int *loop;            /* [edges] vertices */
+    sfem_int *head, *next;     /* [count] [edges] edges that start at a vertex */
+    sfem_int *poly, *before, *after; /* [3 edges] of one polygon, with bridges to its holes */
+    sfem_int triangles, *tri;  /* [3 edges][3] */
+} sfemi_clip_plane;
+
+typedef struct sfemi_clip {
+    const sfem_embed *e;
+    const sfem_body *b;
+    const sfem_mesh *m;
+    const sfem_int *piece; /* [nodes] */
+    sfemi_pool pool;
+    sfem_embed_pieces out;
+    sfem_real length;  /* mean edge of the mesh */
+    /* S */
+    sfem_int points;   /* of the embedding */
+    sfem_int *first;   /* [points] the first at the same place: the one that counts */
+    sfem_real *near;   /* [points][4] coordinates of the nearest place in the point's tet */
+    sfem_int *label;   /* [points] its piece */
+    /* T */
+    sfem_real *x;      /* [2 nodes][3] nodes, and those beyond the surface */
+    sfem_int tets, tet_room, *tet; /* [tets][4] with several pieces */
+    sfemi_table point; /* points of T by the nodes of their simplex, ascending, then -1 */
+    sfem_int faces, face_room;
+    sfemi_clip_face *face;
+    sfem_real *p;      /* [points + points of T][3], where signs are taken */
+    sfemi_boxes tet_tree, face_tree;
+    int *winding;      /* [points of T] */
+    /* where they meet */
+    sfem_int hits, hit_room, segments, segment_room;
+    sfemi_clip_hit *hit;
+    sfemi_clip_segment *segment;
+    sfemi_table hit_of;   /* kind, edge (T: less the points), face */
+    sfemi_table edge_of;  /* edges with hits: kind, edge, 0 */
+    sfem_int *order, *edge_start; /* hits by edges and t; [edges + 1] */
+    sfem_int *local;      /* [hits] in the plane at work, -1 elsewhere */
+    int uncertain;        /* a sign that may be wrong */
+    sfemi_clip_plane plane;
+    sfemi_table vertex, place; /* of the result */
+    sfem_int vertex_room, triangle_room;
+    sfem_int *node_of_piece;
+} sfemi_clip;
+
+/* Makes room for one more in an array of `size` bytes each. */
+static sfem_status sfemi_clip_room(sfemi_clip *s, void **array, size_t size, sfem_int count, sfem_int *room,
+                                  sfem_error *err)
+{
+    sfem_status status = SFEM_OK;
+    unsigned char *more;
+    if (count < *room) return SFEM_OK;
+    if (*room > INT32_MAX / 16) return sfemi_fail(err, SFEM_TOO_LARGE, "the cut surface cannot be numbered");
+    *room = *room ? 2 * *room : 64;
+    SFEMI_TAKE(unsigned char, more, &s->pool, (size_t)*room * size);
+    if (count) memcpy(more, *array, (size_t)count * size);
+    *array = more;
+done:
+    return status;
+}
+
+/* ---- 1, 2: the planes between pieces ---- */
+
+static sfem_int sfemi_clip_real(const sfemi_clip *s, sfem_int node) { return node % s->m->nodes; }
+static sfem_int sfemi_clip_piece(const sfemi_clip *s, sfem_int node) { return s->piece[sfemi_clip_real(s, node)]; }
+
+static int sfemi_clip_mixed(const sfemi_clip *s, const sfem_int *node, int count)
+{
+    int k;
+    for (k = 1; k < count; ++k)
+        if (sfemi_clip_piece(s, node[k]) != sfemi_clip_piece(s, node[0])) return 1;
+    return 0;
+}
+
+static sfem_status sfemi_clip_tet(sfemi_clip *s, sfem_int a, sfem_int b, const sfem_int cd[2], sfem_error *err)
+{
+    void *array = s->tet;
+    sfem_status status = sfemi_clip_room(s, &array, 4 * sizeof *s->tet, s->tets, &s->tet_room, err);
+    s->tet = (sfem_int *)array;
+    if (status != SFEM_OK) return status;
+    s->tet[4 * s->tets] = a;
+    s->tet[4 * s->tets + 1] = b;
+    s->tet[4 * s->tets + 2] = cd[0];
+    s->tet[4 * s->tets + 3] = cd[1];
+    ++s->tets;
+    return SFEM_OK;
+}
+
+/* The prism beyond a face: i < j < k inside, each with its own outside, in three tets that neighbours agree on. */
+static sfem_status sfemi_clip_prism(sfemi_clip *s, const sfem_int *face, sfem_error *err)
+{
+    const sfem_int n = s->m->nodes, zero[4] = {0, face[0], face[1], face[2]};
+    sfem_int v[3], cd[2];
+    const int even = sfemi_mesh_face_key(zero, 0, v);
+    sfem_status status = SFEM_OK;
+    cd[0] = even ? v[2] : v[2] + n;
+    cd[1] = even ? v[2] + n : v[2];
+    SFEMI_TRY(sfemi_clip_tet(s, v[0], v[1], cd, err));
+    cd[0] = even ? v[2] + n : v[1] + n;
+    cd[1] = even ? v[1] + n : v[2] + n;
+    SFEMI_TRY(sfemi_clip_tet(s, v[0], v[1], cd, err));
+    cd[0] = even ? v[1] + n : v[2] + n;
+    cd[1] = even ? v[2] + n : v[1] + n;
+    SFEMI_TRY(sfemi_clip_tet(s, v[0], v[0] + n, cd, err));
+done:
+    return status;
+}
+
+/* Places beyond the surface: along its normal, by half of its edges there. */
+static sfem_status sfemi_clip_outer(sfemi_clip *s, const sfem_surface *surface, sfem_error *err)
+{
+    const sfem_mesh *m = s->m;
+    sfem_status status = SFEM_OK;
+    sfem_real *sum = NULL, u[3], v[3], n[3];
+    sfem_int i;
+    int k, c;
+    SFEMI_TAKE(sfem_real, s->x, &s->pool, 6 * (size_t)m->nodes);
+    SFEMI_TAKE(sfem_real, sum, &s->pool, 2 * (size_t)m->nodes); /* lengths and how many */
+    memcpy(s->x, m->x, 3 * (size_t)m->nodes * sizeof *s->x);
+    for (i = 0; i < surface->triangles; ++i) {
+        const sfem_int *f = surface->tri + 3 * (size_t)i;
+        sfemi_sub3(m->x + 3 * (size_t)f[1], m->x + 3 * (size_t)f[0], u);
+        sfemi_sub3(m->x + 3 * (size_t)f[2], m->x + 3 * (size_t)f[0], v);
+        sfemi_cross(u, v, n);
+        for (k = 0; k < 3; ++k) {
+            sfem_real *to = s->x + 3 * ((size_t)m->nodes + (size_t)f[k]);
+            sfemi_sub3(m->x + 3 * (size_t)f[(k + 1) % 3], m->x + 3 * (size_t)f[k], u);
+            sum[2 * f[k]] += sqrt(sfemi_dot3(u, u));
+            sum[2 * f[k] + 1] += 1;
+            for (c = 0; c < 3; ++c) to[c] += n[c];
+        }
+    }
+    for (i = 0; i < m->nodes; ++i) {
+        sfem_real *to = s->x + 3 * ((size_t)m->nodes + (size_t)i);
+        const sfem_real size = sqrt(sfemi_dot3(to, to));
+        for (c = 0; c < 3; ++c)
+            to[c] = m->x[3 * (size_t)i + (size_t)c] + (size > 0 ? 0.5 * sum[2 * i] / sum[2 * i + 1] * to[c] / size : 0);
+    }
+done:
+    return status;
+}
+
+static sfem_status sfemi_clip_collect_tets(sfemi_clip *s, sfem_error *err)
+{
+    const sfem_mesh *m = s->m;
+    sfem_status status = SFEM_OK;
+    sfem_surface surface;
+    sfem_int i;
+    int k;
+    memset(&surface, 0, sizeof surface);
+    SFEMI_TRY(sfem_mesh_surface(m, &s->pool.allocator, &surface, err));
+    SFEMI_TRY(sfemi_clip_outer(s, &surface, err));
+    for (i = 0; i < m->tets; ++i) {
+        const sfem_int *v = m->tet + 4 * (size_t)i;
+        for (k = 0; k < 3; ++k) {
+            sfem_real d[3];
+            sfemi_sub3(m->x + 3 * (size_t)v[k + 1], m->x + 3 * (size_t)v[k], d);
+            s->length += sqrt(sfemi_dot3(d, d)) / (3.0 * m->tets);
+        }
+        if (sfemi_clip_mixed(s, v, 4)) SFEMI_TRY(sfemi_clip_tet(s, v[0], v[1], v + 2, err));
+    }
+    for (i = 0; i < surface.triangles; ++i)
+        if (sfemi_clip_mixed(s, surface.tri + 3 * (size_t)i, 3))
+            SFEMI_TRY(sfemi_clip_prism(s, surface.tri + 3 * (size_t)i, err));
+    SFEMI_TAKE(sfem_int, s->node_of_piece, &s->pool, (size_t)s->b->damage->pieces + 1);
+    for (i = m->nodes - 1; i >= 0; --i)
+        if (s->piece[i] >= 0) s->node_of_piece[s->piece[i]] = i;
+done:
+    sfem_surface_free(&surface);
+    return status;
+}
+
+/* The point of T of some nodes of a tet (bits). */
+static sfem_status sfemi_clip_centroid(sfemi_clip *s, const sfem_int *tet, int among, sfem_int *point, sfem_error *err)
+{
+    sfem_int key[4] = {-1, -1, -1, -1};
+    int k, i, size = 0;
+    for (k = 0; k < 4; ++k) {
+        if (!(among >> k & 1)) continue;
+        for (i = size++; i > 0 && key[i - 1] > tet[k]; --i) key[i] = key[i - 1];
+        key[i] = tet[k];
+    }
+    return sfemi_table_add(&s->point, key, point, &s->pool, err);
+}
+
+static sfem_status sfemi_clip_collect_faces(sfemi_clip *s, sfem_error *err)
+{
+    /* the ends of an edge, then the other two nodes, so that all four are an even permutation */
+    static const unsigned char even[6][4] = {{0, 1, 2, 3}, {0, 2, 3, 1}, {0, 3, 1, 2},
+                                             {1, 2, 0, 3}, {1, 3, 2, 0}, {2, 3, 0, 1}};
+    sfem_status status = SFEM_OK;
+    sfem_int e, q[4];
+    int k, half;
+    for (e = 0; e < s->tets; ++e)
+        for (k = 0; k < 6; ++k) {
+            const sfem_int *t = s->tet + 4 * (size_t)e;
+            const unsigned char *p = even[k];
+            const int both = 1 << p[0] | 1 << p[1];
+            const sfem_int behind = sfemi_clip_piece(s, t[p[0]]), front = sfemi_clip_piece(s, t[p[1]]);
+            if (behind == front) continue;
+            SFEMI_TRY(sfemi_clip_centroid(s, t, both, q, err));
+            SFEMI_TRY(sfemi_clip_centroid(s, t, both | 1 << p[2], q + 1, err));
+            SFEMI_TRY(sfemi_clip_centroid(s, t, 15, q + 2, err));
+            SFEMI_TRY(sfemi_clip_centroid(s, t, both | 1 << p[3], q + 3, err));
+            for (half = 0; half < 2; ++half) {
+                void *array = s->face;
+                sfemi_clip_face *f;
+                SFEMI_TRY(sfemi_clip_room(s, &array, sizeof *f, s->faces, &s->face_room, err));
+                s->face = (sfemi_clip_face *)array;
+                f = s->face + s->faces++;
+                f->corner[0] = q[0];
+                f->corner[1] = q[1 + half];
+                f->corner[2] = q[2 + half];
+                f->piece[0] = behind;
+                f->piece[1] = front;
+                f->tet = e;
+            }
+        }
+done:
+    return status;
+}
+
+/* ---- where signs are taken ---- */
+
+/* The nearest place in a tet, by coordinates. */
+static void sfemi_clip_nearest(const sfem_mesh *m, sfem_int tet, const sfem_real *p, sfem_real w[4])
+{
+    const sfem_int *v = m->tet + 4 * (size_t)tet;
+    sfem_real best = 1e300;
+    int f, k;
+    for (f = 0; f < 4; ++f) {
+        const sfem_real *corner[3];
+        sfem_real c[3], d;
+        for (k = 0; k < 3; ++k) corner[k] = m->x + 3 * (size_t)v[sfemi_mesh_face[f][k]];
+        d = sfemi_embed_triangle(p, corner, c);
+        if (!(d < best)) continue;
+        best = d;
+        w[f] = 0;
+        for (k = 0; k < 3; ++k) w[sfemi_mesh_face[f][k]] = c[k];
+    }
+}
+
+/* A number in [-1, 1] of two [splitmix64: Steele, Lea, Flood 2014]. */
+static sfem_real sfemi_clip_random(uint64_t seed, uint64_t i)
+{
+    uint64_t z = (seed << 40) + (i + 1) * 0x9e3779b97f4a7c15u;
+    z = (z ^ z >> 30) * 0xbf58476d1ce4e5b9u;
+    z = (z ^ z >> 27) * 0x94d049bb133111ebu;
+    z ^= z >> 31;
+    return (sfem_real)(z >> 11) / 4503599627370496.0 - 1;
+}
+
+/* Welds the points of S, finds their nearest places in the mesh, and places the points of T. */
+static sfem_status sfemi_clip_place(sfemi_clip *s, sfem_error *err)
+{
+    const sfem_embed *e = s->e;
+    sfem_status status = SFEM_OK;
+    sfem_int i;
+    int k, c, size;
+    SFEMI_TAKE(sfem_int, s->first, &s->pool, s->points);
+    SFEMI_TAKE(sfem_int, s->label, &s->pool, s->points);
+    SFEMI_TAKE(sfem_real, s->near, &s->pool, 4 * (size_t)s->points);
+    SFEMI_TAKE(sfem_real, s->p, &s->pool, 3 * ((size_t)s->points + (size_t)s->point.count));
+    SFEMI_TAKE(int, s->winding, &s->pool, (size_t)s->point.count + 1);
+    SFEMI_TRY(sfemi_mesh_weld(s->points, e->x, &s->pool.allocator, s->first, err));
+    for (i = 0; i < s->points; ++i)
+        if (e->distance[i] > 0) sfemi_clip_nearest(s->m, e->tet[i], e->x + 3 * (size_t)i, s->near + 4 * (size_t)i);
+        else memcpy(s->near + 4 * (size_t)i, e->bary + 4 * (size_t)i, 4 * sizeof *s->near);
+    for (i = 0; i < s->point.count; ++i) {
+        const sfem_int *v = s->point.key + 4 * (size_t)i;
+        sfem_real *to = s->p + 3 * ((size_t)s->points + (size_t)i);
+        for (size = 0; size < 4 && v[size] >= 0; ++size)
+            for (c = 0; c < 3; ++c) to[c] += s->x[3 * (size_t)v[size] + (size_t)c];
+        for (k = 0; k < 3; ++k) to[k] /= size;
+    }
+done:
+    return status;
+}
+
+static void sfemi_clip_move(sfemi_clip *s, int seed)
+{
+    sfem_int i;
+    int k, c;
+    s->uncertain = 0;
+    for (i = 0; i < s->points; ++i) {
+        const sfem_real *w = s->near + 4 * (size_t)i;
+        sfem_real *to = s->p + 3 * (size_t)i;
+        for (c = 0; c < 3; ++c) {
+            to[c] = 1e-5 * s->length * sfemi_clip_random((uint64_t)seed, 3 * (uint64_t)s->first[i] + (uint64_t)c);
+            if (s->e->distance[i] > 0)
+                for (k = 0; k < 4; ++k) to[c] += w[k] * s->m->x[3 * (size_t)s->e->node[4 * i + k] + (size_t)c];
+            else
+                to[c] += s->e->x[3 * (size_t)i + (size_t)c];
+        }
+    }
+}
+
+/* Six times the volume of four points, the same number but for its sign in any order; above 0 where the last is in
+ * front of the others. Rounding errors are below 7.8e-16 of the sum of the products' sizes [Shewchuk 1997]. */
+static sfem_real sfemi_clip_volume(sfemi_clip *s, sfem_int a, sfem_int b, sfem_int c, sfem_int d)
+{
+    sfem_int v[4], swap;
+    sfem_real x[3][3], det = 0, size = 0, sign = -1; /* of rows a-d, b-d, c-d */
+    int i, j, k;
+    v[0] = a, v[1] = b, v[2] = c, v[3] = d;
+    for (i = 1; i < 4; ++i)
+        for (j = i; j > 0 && v[j - 1] > v[j]; --j) swap = v[j], v[j] = v[j - 1], v[j - 1] = swap, sign = -sign;
+    for (k = 0; k < 3; ++k) sfemi_sub3(s->p + 3 * (size_t)v[k], s->p + 3 * (size_t)v[3], x[k]);
+    for (k = 0; k < 3; ++k) {
+        const sfem_real p = x[1][(k + 1) % 3] * x[2][(k + 2) % 3], q = x[1][(k + 2) % 3] * x[2][(k + 1) % 3];
+        det += x[0][k] * (p - q);
+        size += fabs(x[0][k]) * (fabs(p) + fabs(q));
+    }
+    if (!(fabs(det) > 1e-15 * size)) s->uncertain = 1;
+    return sign * det;
+}
+
+/* Pieces of the points: of the tet with several pieces that holds one, else of its own tet. */
+static void sfemi_clip_label(sfemi_clip *s)
+{
+    sfem_int i, n;
+    int k;
+    for (i = 0; i < s->points; ++i) {
+        const sfem_real *p = s->p + 3 * (size_t)i, *w = s->near + 4 * (size_t)i;
+        const sfem_int *v = s->e->node + 4 * (size_t)i;
+        sfem_int stack[SFEMI_BOX_STACK], found = s->tets;
+        int depth = 0, best = 0;
+        for (k = 1; k < 4; ++k)
+            if (w[k] > w[best]) best = k;
+        s->label[i] = s->piece[v[best]];
+        stack[depth++] = 0;
+        while (depth) {
+            const sfem_int at = stack[--depth];
+            const sfemi_box *box = s->tet_tree.node + at;
+            if (!sfemi_box_holds(box, p)) continue;
+            if (!box->count) {
+                stack[depth++] = box->right;
+                stack[depth++] = at + 1;
+            }
+            for (n = box->first; n < box->first + box->count; ++n) {
+                const sfem_int *t = s->tet + 4 * (size_t)s->tet_tree.item[n];
+                sfem_real g[3][3], d[3], b[4];
+                int inside = 1, most = 0;
+                if (s->tet_tree.item[n] > found || !sfemi_mesh_gradients(s->x, t, g)) continue;
+                sfemi_sub3(p, s->x + 3 * (size_t)t[0], d);
+                sfemi_mesh_barycentric(g, d, b);
+                for (k = 0; k < 4; ++k) {
+                    if (b[k] > b[most]) most = k;
+                    if (!(b[k] > 0)) inside = 0;
+                }
+                if (!inside) continue;
+                for (k = 0; k < 4; ++k) /* too close to tell */
+                    if (b[k] < 1e-13 || (k != most && b[most] - b[k] < 1e-13)) s->uncertain = 1;
+                found = s->tet_tree.item[n];
+                s->label[i] = sfemi_clip_piece(s, t[most]);
+            }
+        }
+    }
+}
+
+/* ---- 3: where S and T meet ---- */
+
+static sfem_status sfemi_clip_add_hit(sfemi_clip *s, const sfemi_clip_hit *h, sfem_int *number, sfem_error *err)
+{
+    sfem_status status;
+    void *array = s->hit;
+    sfem_int key[4];
+    key[0] = h->kind ? -1 - h->edge[0] : h->edge[0];
+    key[1] = h->edge[1];
+    key[2] = h->face;
+    key[3] = 0;
+    SFEMI_TRY(sfemi_table_add(&s->hit_of, key, number, &s->pool, err));
+    if (*number < s->hits) goto done;
+    SFEMI_TRY(sfemi_clip_room(s, &array, sizeof *h, s->hits, &s->hit_room, err));
+    s->hit = (sfemi_clip_hit *)array;
+    s->hit[s->hits++] = *h;
+done:
+    return status;
+}
+
+/* Edge i of triangle a (corner numbers) through triangle b: sides of a's corners, and how it passes the edges of b. */
+static sfemi_clip_hit sfemi_clip_hit_of(const sfem_int *a, int i, const sfem_real *side, const sfem_real pass[3])
+{
+    const int next = (i + 1) % 3, low = a[i] < a[next] ? i : next, high = low == i ? next : i;
+    sfemi_clip_hit h;
+    sfem_real sum = pass[0] + pass[1] + pass[2];
+    int k;
+    memset(&h, 0, sizeof h);
+    h.edge[0] = a[low];
+    h.edge[1] = a[high];
+    h.sign = side[high] > 0 ? 1 : -1;
+    h.t = side[low] / (side[low] - side[high]);
+    for (k = 0; k < 3; ++k) h.w[(k + 2) % 3] = pass[k] / sum; /* of the corner opposite edge k */
+    return h;
+}
+
+static sfem_status sfemi_clip_pair(sfemi_clip *s, const sfem_int *a, sfem_int triangle, sfem_int face, sfem_error *err)
+{
+    sfem_status status = SFEM_OK;
+    sfemi_clip_segment g;
+    void *array;
+    sfem_real front[3], outside[3], pass[3][3], column[3];
+    sfem_int c[3], number;
+    int i, j;
+    for (i = 0; i < 3; ++i) c[i] = s->points + s->face[face].corner[i];
+    for (i = 0; i < 3; ++i) front[i] = sfemi_clip_volume(s, c[0], c[1], c[2], a[i]);
+    if ((front[0] > 0) == (front[1] > 0) && (front[1] > 0) == (front[2] > 0)) return SFEM_OK;
+    for (i = 0; i < 3; ++i) outside[i] = sfemi_clip_volume(s, a[0], a[1], a[2], c[i]);
+    if ((outside[0] > 0) == (outside[1] > 0) && (outside[1] > 0) == (outside[2] > 0)) return SFEM_OK;
+    for (i = 0; i < 3; ++i)
+        for (j = 0; j < 3; ++j) pass[i][j] = sfemi_clip_volume(s, a[i], a[(i + 1) % 3], c[j], c[(j + 1) % 3]);
+    g.s = triangle;
+    g.t = face;
+    g.start = g.end = -1;
+    for (i = 0; i < 3; ++i) { /* edges of S through T, then of T through S */
+        sfemi_clip_hit h;
+        const int next = (i + 1) % 3;
+        if ((front[i] > 0) != (front[next] > 0) && (pass[i][0] > 0) == (pass[i][1] > 0) &&
+            (pass[i][1] > 0) == (pass[i][2] > 0)) {
+            h = sfemi_clip_hit_of(a, i, front, pass[i]);
+            h.face = face;
+            SFEMI_TRY(sfemi_clip_add_hit(s, &h, &number, err));
+            *(front[i] > 0 ? &g.start : &g.end) = number;
+        }
+        for (j = 0; j < 3; ++j) column[j] = pass[j][i];
+        if ((outside[i] > 0) != (outside[next] > 0) && (column[0] > 0) == (column[1] > 0) &&
+            (column[1] > 0) == (column[2] > 0)) {
+            h = sfemi_clip_hit_of(c, i, outside, column);
+            h.kind = 1;
+            h.face = triangle;
+            SFEMI_TRY(sfemi_clip_add_hit(s, &h, &number, err));
+            *(outside[i] < 0 ? &g.start : &g.end) = number;
+        }
+    }
+    if (g.start < 0 || g.end < 0) goto done; /* they pass each other; one end alone is uncertain */
+    array = s->segment;
+    SFEMI_TRY(sfemi_clip_room(s, &array, sizeof g, s->segments, &s->segment_room, err));
+    s->segment = (sfemi_clip_segment *)array;
+    s->segment[s->segments++] = g;
+done:
+    return status;
+}
+
+static int sfemi_clip_corners(const sfemi_clip *s, sfem_int triangle, sfem_int a[3])
+{
+    int k;
+    for (k = 0; k < 3; ++k) a[k] = s->first[s->e->tri[3 * (size_t)triangle + (size_t)k]];
+    return a[0] != a[1] && a[1] != a[2] && a[2] != a[0];
+}
+
+static sfem_status sfemi_clip_meet(sfemi_clip *s, sfem_error *err)
+{
+    sfem_status status = SFEM_OK;
+    sfem_int i, n, a[3];
+    int c;
+    s->hits = s->segments = 0;
+    if (s->hit_of.slots) memset(s->hit_of.slot, 0, (size_t)s->hit_of.slots * sizeof *s->hit_of.slot);
+    s->hit_of.count = 0;
+    for (i = 0; i < s->e->info.triangles; ++i) {
+        sfem_int stack[SFEMI_BOX_STACK];
+        sfem_real b[6];
+        int depth = 0;
+        if (!sfemi_clip_corners(s, i, a)) continue;
+        sfemi_boxes_bound(s->p, a, 3, 0, b);
+        stack[depth++] = 0;
+        while (depth) {
+            const sfem_int at = stack[--depth];
+            const sfemi_box *box = s->face_tree.node + at;
+            for (c = 0; c < 3; ++c)
+                if (b[c] > box->high[c] || b[c + 3] < box->low[c]) break;
+            if (c < 3) continue;
+            if (!box->count) {
+                stack[depth++] = box->right;
+                stack[depth++] = at + 1;
+            }
+            for (n = box->first; n < box->first + box->count; ++n)
+                SFEMI_TRY(sfemi_clip_pair(s, a, i, s->face_tree.item[n], err));
+        }
+    }
+done:
+    return status;
+}
+
+/* Are hits a, b in order: by kind, edge, and place on it? */
+static int sfemi_clip_before(sfemi_clip *s, sfem_int a, sfem_int b)
+{
+    const sfemi_clip_hit *p = s->hit + a, *q = s->hit + b;
+    int k;
+    if (p->kind != q->kind) return p->kind < q->kind;
+    for (k = 0; k < 2; ++k)
+        if (p->edge[k] != q->edge[k]) return p->edge[k] < q->edge[k];
+    if (a != b && !(fabs(p->t - q->t) > 1e-13)) s->uncertain = 1;
+    return p->t < q->t;
+}
+
+/* Sorts the hits, by merging, and tells where those of each edge begin. */
+static sfem_status sfemi_clip_sort(sfemi_clip *s, sfem_error *err)
+{
+    const size_t n = (size_t)s->hits;
+    sfem_status status = SFEM_OK;
+    sfem_int *from, *to, *swap, number;
+    size_t width, i, j, k, at, middle, end;
+    SFEMI_TAKE(sfem_int, from, &s->pool, n + 1);
+    SFEMI_TAKE(sfem_int, to, &s->pool, n + 1);
+    SFEMI_TAKE(sfem_int, s->edge_start, &s->pool, n + 2);
+    for (i = 0; i < n; ++i) from[i] = (sfem_int)i;
+    for (width = 1; width < n; width *= 2) {
+        for (at = 0; at < n; at = end) {
+            middle = at + width < n ? at + width : n;
+            end = at + 2 * width < n ? at + 2 * width : n;
+            for (i = at, j = middle, k = at; k < end; ++k)
+                to[k] = i < middle && (j == end || !sfemi_clip_before(s, from[j], from[i])) ? from[i++] : from[j++];
+        }
+        swap = from;
+        from = to;
+        to = swap;
+    }
+    s->order = from;
+    s->edge_of.count = 0;
+    if (s->edge_of.slots) memset(s->edge_of.slot, 0, (size_t)s->edge_of.slots * sizeof *s->edge_of.slot);
+    for (i = 0; i < n; ++i) {
+        const sfemi_clip_hit *h = s->hit + s->order[i];
+        sfem_int key[4];
+        key[0] = h->kind;
+        key[1] = h->edge[0];
+        key[2] = h->edge[1];
+        key[3] = 0;
+        SFEMI_TRY(sfemi_table_add(&s->edge_of, key, &number, &s->pool, err));
+        s->edge_start[number + 1] = (sfem_int)i + 1;
+    }
+done:
+    return status;
+}
+
+/* The hits of an edge, in s->order from *begin to *end. */
+static void sfemi_clip_edge_hits(const sfemi_clip *s, sfem_int kind, const sfem_int edge[2], sfem_int *begin, sfem_int *end)
+{
+    sfem_int key[4], number;
+    key[0] = kind;
+    key[1] = edge[0] < edge[1] ? edge[0] : edge[1];
+    key[2] = edge[0] < edge[1] ? edge[1] : edge[0];
+    key[3] = 0;
+    number = sfemi_table_find(&s->edge_of, key);
+    *begin = number < 0 ? 0 : s->edge_start[number];
+    *end = number < 0 ? 0 : s->edge_start[number + 1];
+}
+
+/* Where points of S are far outside, or between parts of the mesh, its edges may come from one piece to another without
+ * meeting a T: half way a hit is put there, where this edge's triangles are cut all the same. */
+static sfem_status sfemi_clip_gaps(sfemi_clip *s, sfem_error *err)
+{
+    sfem_status status = SFEM_OK;
+    const sfem_int *order = s->order;
+    sfem_int i, j, number, begin, end, a[3];
+    int k;
+    for (i = 0; i < s->e->info.triangles; ++i) {
+        if (!sfemi_clip_corners(s, i, a)) continue;
+        for (k = 0; k < 3; ++k) {
+            const sfem_int p = a[k], q = a[(k + 1) % 3];
+            sfem_int edge[2], piece;
+            sfem_real t = 0;
+            edge[0] = p < q ? p : q;
+            edge[1] = p < q ? q : p;
+            piece = s->label[edge[0]];
+            sfemi_clip_edge_hits(s, 0, edge, &begin, &end);
+            for (j = begin; j <= end; ++j) {
+                const sfemi_clip_hit *h = j < end ? s->hit + order[j] : NULL;
+                const sfem_int next = h ? s->face[h->face].piece[h->sign < 0] : s->label[edge[1]];
+                const sfem_real until = h ? h->t : 1;
+                sfemi_clip_hit gap;
+                memset(&gap, 0, sizeof gap);
+                gap.edge[0] = edge[0];
+                gap.edge[1] = edge[1];
+                gap.face = begin - 1 - j;
+                gap.gap[0] = piece;
+                gap.gap[1] = next;
+                gap.sign = 1;
+                gap.t = (t + until) / 2;
+                if (h) piece = s->face[h->face].piece[h->sign > 0];
+                t = until;
+                if (gap.gap[0] != gap.gap[1]) SFEMI_TRY(sfemi_clip_add_hit(s, &gap, &number, err));
+            }
+        }
+    }
+    if (s->hits > s->edge_start[s->edge_of.count]) SFEMI_TRY(sfemi_clip_sort(s, err));
+done:
+    return status;
+}
+
+/* ---- 4: how often S winds round the points of T ---- */
+
+/* By solid angles [van Oosterom, Strackee 1983]. */
+static int sfemi_clip_wind(const sfemi_clip *s, const sfem_real *p)
+{
+    sfem_real sum = 0;
+    sfem_int i, v[3];
+    int k;
+    for (i = 0; i < s->e->info.triangles; ++i) {
+        sfem_real a[3][3], l[3], n[3];
+        if (!sfemi_clip_corners(s, i, v)) continue;
+        for (k = 0; k < 3; ++k) {
+            sfemi_sub3(s->p + 3 * (size_t)v[k], p, a[k]);
+            l[k] = sqrt(sfemi_dot3(a[k], a[k]));
+        }
+        sfemi_cross(a[0], a[1], n);
+        sum += atan2(sfemi_dot3(n, a[2]), l[0] * l[1] * l[2] + sfemi_dot3(a[0], a[1]) * l[2] +
+                                              sfemi_dot3(a[1], a[2]) * l[0] + sfemi_dot3(a[2], a[0]) * l[1]);
+    }
+    return (int)floor(sum / 6.283185307179586 + 0.5);
+}
+
+/* From one point of each connected part of T along its edges. */
+static sfem_status sfemi_clip_windings(sfemi_clip *s, sfem_error *err)
+{
+    const sfem_int n = s->point.count;
+    sfem_status status = SFEM_OK;
+    sfem_int *start, *to, *queue, i, j, k, begin, end;
+    unsigned char *known;
+    int c;
+    SFEMI_TAKE(sfem_int, start, &s->pool, (size_t)n + 2);
+    SFEMI_TAKE(sfem_int, to, &s->pool, 6 * (size_t)s->faces);
+    SFEMI_TAKE(sfem_int, queue, &s->pool, n);
+    SFEMI_TAKE(unsigned char, known, &s->pool, n);
+    for (i = 0; i < s->faces; ++i)
+        for (c = 0; c < 3; ++c) start[s->face[i].corner[c] + 2] += 2;
+    for (i = 0; i < n; ++i) start[i + 2] += start[i + 1];
+    for (i = 0; i < s->faces; ++i)
+        for (c = 0; c < 6; ++c) {
+            const sfem_int *v = s->face[i].corner;
+            to[start[v[c / 2] + 1]++] = v[(c / 2 + 1 + c % 2) % 3];
+        }
+    for (i = 0; i < n; ++i) {
+        sfem_int head = 0, tail = 0;
+        if (known[i]) continue;
+        known[i] = 1;
+        s->winding[i] = sfemi_clip_wind(s, s->p + 3 * ((size_t)s->points + (size_t)i));
+        for (queue[tail++] = i; head < tail; ++head)
+            for (j = start[queue[head]]; j < start[queue[head] + 1]; ++j) {
+                sfem_int edge[2];
+                int change = 0;
+                if (known[to[j]]) continue;
+                known[to[j]] = 1;
+                edge[0] = s->points + queue[head];
+                edge[1] = s->points + to[j];
+                sfemi_clip_edge_hits(s, 1, edge, &begin, &end);
+                for (k = begin; k < end; ++k) change -= s->hit[s->order[k]].sign;
+                s->winding[to[j]] = s->winding[queue[head]] + (edge[0] < edge[1] ? change : -change);
+                queue[tail++] = to[j];
+            }
+    }
+done:
+    return status;
+}
+
+/* ---- 5: parts of planes ---- */
+
+static sfem_int sfemi_plane_vertex(sfemi_clip *s, sfem_int id, sfem_real x, sfem_real y)
+{
+    sfemi_clip_plane *p = &s->plane;
+    const sfem_int hit = id % 4 == SFEMI_CLIP_HIT ? id / 4 : -1;
+    if (hit >= 0 && s->local[hit] >= 0) return s->local[hit];
+    p->id[p->count] = id;
+    p->xy[2 * p->count] = x;
+    p->xy[2 * p->count + 1] = y;
+    if (hit >= 0) s->local[hit] = p->count;
+    return p->count++;
+}
+
+static void sfemi_plane_edge(sfemi_clip_plane *p, sfem_int from, sfem_int to, sfem_int piece)
+{
+    p->edge[3 * p->edges] = from;
+    p->edge[3 * p->edges + 1] = to;
+    p->edge[3 * p->edges++ + 2] = piece;
+}
+
+/* Empties the plane, and makes room for so many edges. */
+static sfem_status sfemi_plane_clear(sfemi_clip *s, size_t edges, sfem_error *err)
+{
+    sfemi_clip_plane *p = &s->plane;
+    sfem_status status = SFEM_OK;
+    sfem_int i;
+    for (i = 0; i < p->count; ++i)
+        if (p->id[i] % 4 == SFEMI_CLIP_HIT) s->local[p->id[i] / 4] = -1;
+    p->count = p->edges = p->triangles = 0;
+    if (edges <= (size_t)p->room) return SFEM_OK;
+    if (edges > INT32_MAX / 32) return sfemi_fail(err, SFEM_TOO_LARGE, "the cut surface cannot be numbered");
+    p->room = 2 * (sfem_int)edges;
+    SFEMI_TAKE(sfem_int, p->id, &s->pool, 2 * (size_t)p->room);
+    SFEMI_TAKE(sfem_real, p->xy, &s->pool, 4 * (size_t)p->room);
+    SFEMI_TAKE(sfem_int, p->edge, &s->pool, 3 * (size_t)p->room);
+    SFEMI_TAKE(sfem_int, p->loop, &s->pool, 2 * (size_t)p->room);
+    SFEMI_TAKE(sfem_int, p->loop_end, &s->pool, (size_t)p->room + 1);
+    SFEMI_TAKE(sfem_int, p->head, &s->pool, 2 * (size_t)p->room);
+    SFEMI_TAKE(sfem_int, p->next, &s->pool, p->room);
+    SFEMI_TAKE(sfem_int, p->poly, &s->pool, 4 * (size_t)p->room);
+    SFEMI_TAKE(sfem_int, p->before, &s->pool, 4 * (size_t)p->room);
+    SFEMI_TAKE(sfem_int, p->after, &s->pool, 4 * (size_t)p->room);
+    SFEMI_TAKE(sfem_int, p->tri, &s->pool, 12 * (size_t)p->room);
+done:
+    if (status != SFEM_OK) p->room = 0;
+    return status;
+}
+
+static sfem_real sfemi_plane_area(const sfemi_clip_plane *p, sfem_int a, sfem_int b, sfem_int c)
+{
+    const sfem_real *x = p->xy + 2 * a, *y = p->xy + 2 * b, *z = p->xy + 2 * c;
+    return (y[0] - x[0]) * (z[1] - x[1]) - (y[1] - x[1]) * (z[0] - x[0]);
+}
+
+/* Loops of the edges of a piece. A path that does not close is closed, and what that leaves is of piece
+ * SFEMI_CLIP_REST. */
+static void sfemi_plane_loops(sfemi_clip_plane *p, sfem_int piece)
+{
+    const sfem_int edges = p->edges;
+    sfem_int *surplus = p->before, i, e, at, n = 0; /* edges that start at a vertex, less those that end */
+    int pass;
+    for (i = 0; i < p->count; ++i) {
+        p->head[i] = -1;
+        surplus[i] = 0;
+    }
+    for (i = edges - 1; i >= 0; --i) {
+        if (p->edge[3 * i + 2] != piece) continue;
+        p->next[i] = p->head[p->edge[3 * i]];
+        p->head[p->edge[3 * i]] = i;
+        ++surplus[p->edge[3 * i]];
+        --surplus[p->edge[3 * i + 1]];
+    }
+    p->loops = 0;
+    p->loop_end[0] = 0;
+    for (pass = 0; pass < 2; ++pass) /* paths first */
+        for (i = 0; i < edges; ++i) {
+            const sfem_int first = p->edge[3 * i];
+            if (p->edge[3 * i + 2] != piece || (!pass && surplus[first] <= 0)) continue;
+            at = first;
+            while ((e = p->head[at]) >= 0) {
+                p->head[at] = p->next[e];
+                p->edge[3 * e + 2] = -1;
+                p->loop[n++] = at;
+                at = p->edge[3 * e + 1];
+                if (at == first) break;
+            }
+            if (at != first) {
+                p->loop[n++] = at;
+                --surplus[first];
+                if (piece != SFEMI_CLIP_REST) sfemi_plane_edge(p, first, at, SFEMI_CLIP_REST);
+            }
+            if (n > p->loop_end[p->loops]) p->loop_end[++p->loops] = n;
+        }
+}
+
+static sfem_real sfemi_plane_loop_area(const sfemi_clip_plane *p, sfem_int loop)
+{
+    sfem_int i;
+    sfem_real sum = 0;
+    for (i = p->loop_end[loop] + 1; i + 1 < p->loop_end[loop + 1]; ++i)
+        sum += sfemi_plane_area(p, p->loop[p->loop_end[loop]], p->loop[i], p->loop[i + 1]);
+    return sum;
+}
+
+/* Is a vertex inside a loop? By crossings of a ray. */
+static int sfemi_plane_inside(const sfemi_clip_plane *p, sfem_int loop, sfem_int v)
+{
+    const sfem_int begin = p->loop_end[loop], end = p->loop_end[loop + 1];
+    const sfem_real *q = p->xy + 2 * v;
+    sfem_int i, j;
+    int inside = 0;
+    for (i = begin, j = end - 1; i < end; j = i++) {
+        const sfem_real *a = p->xy + 2 * p->loop[i], *b = p->xy + 2 * p->loop[j];
+        if ((a[1] > q[1]) != (b[1] > q[1]) && q[0] < (b[0] - a[0]) * (q[1] - a[1]) / (b[1] - a[1]) + a[0]) inside = !inside;
+    }
+    return inside;
+}
+
+static int sfemi_plane_cross(const sfemi_clip_plane *p, sfem_int a, sfem_int b, sfem_int c, sfem_int d)
+{
+    if (a == c || a == d || b == c || b == d) return 0;
+    return (sfemi_plane_area(p, a, b, c) > 0) != (sfemi_plane_area(p, a, b, d) > 0) &&
+           (sfemi_plane_area(p, c, d, a) > 0) != (sfemi_plane_area(p, c, d, b) > 0);
+}
+
+/* Joins a hole to poly[0..n) by a bridge from the pair of vertices that are nearest and see each other. */
+static sfem_int sfemi_plane_bridge(sfemi_clip_plane *p, sfem_int n, sfem_int hole)
+{
+    const sfem_int begin = p->loop_end[hole], size = p->loop_end[hole + 1] - begin;
+    sfem_int i, j, k, at = 0, from = 0;
+    sfem_real best = 1e300;
+    for (i = 0; i < n; ++i)
+        for (j = 0; j < size; ++j) {
+            const sfem_int a = p->poly[i], b = p->loop[begin + j];
+            const sfem_real x = p->xy[2 * a] - p->xy[2 * b], y = p->xy[2 * a + 1] - p->xy[2 * b + 1], d = x * x + y * y;
+            if (!(d < best)) continue;
+            for (k = 0; k < n; ++k)
+                if (sfemi_plane_cross(p, a, b, p->poly[k], p->poly[(k + 1) % n])) break;
+            if (k < n) continue;
+            for (k = 0; k < size; ++k)
+                if (sfemi_plane_cross(p, a, b, p->loop[begin + k], p->loop[begin + (k + 1) % size])) break;
+            if (k < size) continue;
+            best = d;
+            at = i;
+            from = j;
+        }
+    for (i = n - 1; i > at; --i) p->poly[i + size + 2] = p->poly[i];
+    for (j = 0; j <= size; ++j) p->poly[at + 1 + j] = p->loop[begin + (from + j) % size];
+    p->poly[at + size + 2] = p->poly[at];
+    return n + size + 2;
+}
+
+/* Is the corner at i an ear of what is left? It has to have an area, and hold no other vertex, not on its edges either:
+ * to within a margin, as parts of the squares of lengths. */
+static int sfemi_plane_ear(const sfemi_clip_plane *p, sfem_int i, sfem_real margin)
+{
+    const sfem_int a = p->poly[p->before[i]], b = p->poly[i], c = p->poly[p->after[i]];
+    const sfem_real x = p->xy[2 * a] - p->xy[2 * c], y = p->xy[2 * a + 1] - p->xy[2 * c + 1];
+    const sfem_real least = margin * (x * x + y * y);
+    sfem_int k;
+    if (!(sfemi_plane_area(p, a, b, c) > least)) return 0;
+    for (k = p->after[p->after[i]]; k != p->before[i]; k = p->after[k]) {
+        const sfem_int v = p->poly[k];
+        if (v == a || v == b || v == c) continue;
+        if (sfemi_plane_area(p, a, b, v) >= -least && sfemi_plane_area(p, b, c, v) >= -least &&
+            sfemi_plane_area(p, c, a, v) >= -least)
+            return 0;
+    }
+    return 1;
+}
+
+/* Cuts off ears of poly[0..n) [Meisters 1975], clear ones first; where there is none, the corner of the largest
+ * area. */
+static void sfemi_plane_ears(sfemi_clip_plane *p, sfem_int n)
+{
+    sfem_int i, at = 0, tried = 0, best = 0;
+    for (i = 0; i < n; ++i) {
+        p->before[i] = (i + n - 1) % n;
+        p->after[i] = (i + 1) % n;
+    }
+    while (n >= 3) {
+        const sfem_int a = p->poly[p->before[at]], b = p->poly[at], c = p->poly[p->after[at]];
+        int ear = n == 3 || sfemi_plane_ear(p, at, tried < n ? 1e-9 : 0);
+        if (tried == 0 || sfemi_plane_area(p, a, b, c) >
+                              sfemi_plane_area(p, p->poly[p->before[best]], p->poly[best], p->poly[p->after[best]]))
+            best = at;
+        if (!ear && ++tried >= 2 * n) {
+            at = best;
+            ear = 1;
+        }
+        if (ear) {
+            sfem_int *t = p->tri + 3 * p->triangles++;
+            t[0] = p->poly[p->before[at]];
+            t[1] = p->poly[at];
+            t[2] = p->poly[p->after[at]];
+            p->after[p->before[at]] = p->after[at];
+            p->before[p->after[at]] = p->before[at];
+            tried = 0;
+            --n;
+        }
+        at = p->after[at];
+    }
+}
+
+/* Triangles of what the edges of a piece bound. */
+static void sfemi_plane_fill(sfemi_clip_plane *p, sfem_int piece)
+{
+    sfem_int i, j, k, n;
+    p->triangles = 0;
+    sfemi_plane_loops(p, piece);
+    for (i = 0; i < p->loops; ++i) {
+        const sfem_real area = sfemi_plane_loop_area(p, i);
+        if (p->loop_end[i + 1] - p->loop_end[i] < 3) continue;
+        if (area < 0) { /* a hole, if something is round it; else this part is filled reversed */
+            for (j = 0; j < p->loops; ++j)
+                if (sfemi_plane_loop_area(p, j) > -area && sfemi_plane_inside(p, j, p->loop[p->loop_end[i]])) break;
+            if (j < p->loops) continue;
+        }
+        for (n = 0, k = p->loop_end[i]; k < p->loop_end[i + 1]; ++k) p->poly[n++] = p->loop[k];
+        for (j = 0; area > 0 && j < p->loops; ++j) { /* holes whose smallest surrounding loop this is */
+            const sfem_real hole = -sfemi_plane_loop_area(p, j);
+            if (!(hole > 0) || !(hole < area) || !sfemi_plane_inside(p, i, p->loop[p->loop_end[j]])) continue;
+            if (p->loop_end[j + 1] - p->loop_end[j] < 3) continue;
+            for (k = 0; k < p->loops; ++k) {
+                const sfem_real other = sfemi_plane_loop_area(p, k);
+                if (k != i && other > hole && (other < area || (other <= area && k < i)) &&
+                    sfemi_plane_inside(p, k, p->loop[p->loop_end[j]]))
+                    break;
+            }
+            if (k == p->loops) n = sfemi_plane_bridge(p, n, j);
+        }
+        if (area < 0) { /* ears are those of counterclockwise polygons */
+            const sfem_int first = p->triangles;
+            for (k = 0; k < n / 2; ++k) j = p->poly[k], p->poly[k] = p->poly[n - 1 - k], p->poly[n - 1 - k] = j;
+            sfemi_plane_ears(p, n);
+            for (k = first; k < p->triangles; ++k)
+                j = p->tri[3 * k], p->tri[3 * k] = p->tri[3 * k + 1], p->tri[3 * k + 1] = j;
+        } else
+            sfemi_plane_ears(p, n);
+    }
+}
+
+/* ---- the result ---- */
+
+/* Adds a simplex of T's point to coordinates in nodes. */
+static void sfemi_clip_spread(const sfemi_clip *s, sfem_int point, sfem_real share, sfem_int node[4], sfem_real w[4])
+{
+    const sfem_int *v = s->point.key + 4 * (size_t)point;
+    int size, i, k;
+    for (size = 0; size < 4 && v[size] >= 0; ++size) {}
+    for (i = 0; i < size; ++i) {
+        const sfem_int n = sfemi_clip_real(s, v[i]);
+        for (k = 0; k < 3 && node[k] >= 0 && node[k] != n; ++k) {}
+        node[k] = n;
+        w[k] += share / size;
+    }
+}
+
+/* The members of a piece among nodes, with weights that sum to 1; its first node where there are none. */
+static void sfemi_clip_support(sfemi_clip *s, sfem_int piece, const sfem_int node[4], const sfem_real w[4], sfem_int v)
+{
+    sfem_int *to = s->out.support + 4 * (size_t)v;
+    sfem_real *weight = s->out.weight + 4 * (size_t)v, sum = 0, size = 0;
+    int k, n = 0;
+    for (k = 0; k < 4; ++k) {
+        to[k] = -1;
+        weight[k] = 0;
+    }
+    for (k = 0; k < 4; ++k)
+        if (node[k] >= 0 && s->piece[node[k]] == piece) sum += w[k], size += fabs(w[k]);
+    for (k = 0; k < 4; ++k) {
+        if (node[k] < 0 || s->piece[node[k]] != piece || !(sum > 1e-3 * size)) continue;
+        to[n] = node[k];
+        weight[n++] = w[k] / sum;
+    }
+    if (n) return;
+    to[0] = s->node_of_piece[piece];
+    weight[0] = 1;
+}
+
+/* Where a vertex is at rest, what it goes with, and between which points it lies. */
+static void sfemi_clip_describe(sfemi_clip *s, sfem_int id, sfem_int triangle, sfem_int piece, sfem_int v)
+{
+    const sfem_embed *e = s->e;
+    sfem_int node[4] = {-1, -1, -1, -1}, *point = s->out.point + 3 * (size_t)v;
+    sfem_real w[4] = {0, 0, 0, 0}, x[3] = {0, 0, 0}, *share = s->out.share + 3 * (size_t)v;
+    const sfem_int number = id / 4;
+    int k, c, whole = 0;
+    for (k = 0; k < 3; ++k) {
+        point[k] = -1;
+        share[k] = 0;
+    }
+    if (id % 4 == SFEMI_CLIP_POINT) {
+        point[0] = number;
+        share[0] = 1;
+        memcpy(node, e->node + 4 * (size_t)number, sizeof node);
+        whole = !sfemi_clip_mixed(s, node, 4) && s->piece[node[0]] == piece;
+        memcpy(w, (whole ? e->bary : s->near) + 4 * (size_t)number, sizeof w);
+    } else if (id % 4 == SFEMI_CLIP_HIT) {
+        const sfemi_clip_hit *h = s->hit + number;
+        for (k = 0; h->face < 0 && k < 2; ++k) /* the end of the edge that is in the piece */
+            if (k || s->label[h->edge[0]] == piece) {
+                memcpy(node, e->node + 4 * (size_t)h->edge[k], sizeof node);
+                memcpy(w, s->near + 4 * (size_t)h->edge[k], sizeof w);
+                break;
+            }
+        for (k = 0; h->face >= 0 && k < (h->kind ? 2 : 3); ++k)
+            if (h->kind) sfemi_clip_spread(s, h->edge[k] - s->points, k ? h->t : 1 - h->t, node, w);
+            else sfemi_clip_spread(s, s->face[h->face].corner[k], h->w[k], node, w);
+        for (k = 0; k < (h->kind ? 3 : 2); ++k) {
+            point[k] = h->kind ? e->tri[3 * (size_t)h->face + (size_t)k] : h->edge[k];
+            share[k] = h->kind ? h->w[k] : k ? h->t : 1 - h->t;
+        }
+        for (k = 0; triangle >= 0 && !h->kind && k < 6; ++k) { /* the points of this side of a seam */
+            const sfem_int own = e->tri[3 * (size_t)triangle + (size_t)(k / 2)];
+            if (s->first[own] == h->edge[k % 2]) point[k % 2] = own;
+        }
+    } else {
+        sfemi_clip_spread(s, number, 1, node, w);
+        for (c = 0; c < 3; ++c) x[c] = s->p[3 * ((size_t)s->points + (size_t)number) + (size_t)c];
+    }
+    for (k = 0; k < 3 && point[k] >= 0; ++k)
+        for (c = 0; c < 3; ++c) {
+            x[c] += share[k] * e->x[3 * (size_t)point[k] + (size_t)c];
+            if (triangle >= 0 && e->normal)
+                s->out.normal[3 * (size_t)v + (size_t)c] +=
+                    (float)share[k] * e->normal[3 * (size_t)point[k] + (size_t)c];
+        }
+    sfemi_clip_support(s, piece, node, w, v);
+    for (c = 0; c < 3; ++c) {
+        sfem_real *arm = s->out.arm + 3 * (size_t)v + c;
+        *arm = whole ? 0 : x[c];
+        for (k = 0; !whole && k < 4 && s->out.support[4 * (size_t)v + (size_t)k] >= 0; ++k)
+            *arm -= s->out.weight[4 * (size_t)v + (size_t)k] *
+                    s->m->x[3 * (size_t)s->out.support[4 * (size_t)v + (size_t)k] + (size_t)c];
+    }
+}
+
+static sfem_status sfemi_clip_grow_vertices(sfemi_clip *s, sfem_error *err)
+{
+    sfem_embed_pieces *o = &s->out;
+    const sfem_int n = o->vertices;
+    sfem_status status = SFEM_OK;
+#define SFEMI_GROW(T, p, width)                                                                      \
+    do {                                                                                             \
+        void *array = (p);                                                                           \
+        sfem_int room = s->vertex_room;                                                              \
+        SFEMI_TRY(sfemi_clip_room(s, &array, (width) * sizeof(T), n, &room, err));                    \
+        (p) = (T *)array;                                                                            \
+    } while (0)
+    SFEMI_GROW(sfem_int, o->weld, 1);
+    SFEMI_GROW(sfem_int, o->point, 3);
+    SFEMI_GROW(sfem_real, o->share, 3);
+    SFEMI_GROW(sfem_int, o->support, 4);
+    SFEMI_GROW(sfem_real, o->weight, 4);
+    SFEMI_GROW(sfem_real, o->arm, 3);
+    SFEMI_GROW(float, o->normal, 3);
+#undef SFEMI_GROW
+    if (n == s->vertex_room) s->vertex_room = s->vertex_room ? 2 * s->vertex_room : 64;
+done:
+    return status;
+}
+
+/* The vertex of a plane's vertex in a piece; triangle is that of S, or -1: of an inner face. */
+static sfem_status sfemi_clip_vertex(sfemi_clip *s, sfem_int id, sfem_int triangle, sfem_int piece, sfem_int *v,
+                                    sfem_error *err)
+{
+    sfem_status status = SFEM_OK;
+    sfem_int key[4] = {-1, -1, -1, -1}, same;
+    int k;
+    key[0] = id;
+    key[1] = piece;
+    key[2] = triangle < 0 ? -2 : -1;
+    if (triangle >= 0 && id % 4 == SFEMI_CLIP_HIT && !s->hit[id / 4].kind)
+        for (k = 0; k < 6; ++k) { /* a seam has two pairs of points at each edge */
+            const sfem_int own = s->e->tri[3 * (size_t)triangle + (size_t)(k / 2)];
+            if (s->first[own] == s->hit[id / 4].edge[k % 2]) key[2 + k % 2] = own;
+        }
+    SFEMI_TRY(sfemi_table_add(&s->vertex, key, v, &s->pool, err));
+    if (*v < s->out.vertices) goto done;
+    SFEMI_TRY(sfemi_clip_grow_vertices(s, err));
+    if (id % 4 == SFEMI_CLIP_POINT) key[0] = 4 * s->first[id / 4] + SFEMI_CLIP_POINT;
+    key[2] = key[3] = -1;
+    SFEMI_TRY(sfemi_table_add(&s->place, key, &same, &s->pool, err));
+    ++s->out.vertices;
+    s->out.weld[*v] = same; /* the number of the place, for now */
+    sfemi_clip_describe(s, id, triangle, piece, *v);
+done:
+    return status;
+}
+
+/* A triangle of ids, of a piece. */
+static sfem_status sfemi_clip_triangle(sfemi_clip *s, const sfem_int id[3], sfem_int triangle, sfem_int piece, int reversed,
+                                      sfem_error *err)
+{
+    sfem_status status = SFEM_OK;
+    const sfem_int n = s->out.triangles;
+    sfem_int room = s->triangle_room, v[3];
+    void *array;
+    int k;
+    for (k = 0; k < 3; ++k) SFEMI_TRY(sfemi_clip_vertex(s, id[k], triangle, piece, v + k, err));
+    array = s->out.tri;
+    SFEMI_TRY(sfemi_clip_room(s, &array, 3 * sizeof *s->out.tri, n, &room, err));
+    s->out.tri = (sfem_int *)array;
+    array = s->out.node;
+    room = s->triangle_room;
+    SFEMI_TRY(sfemi_clip_room(s, &array, sizeof *s->out.node, n, &room, err));
+    s->out.node = (sfem_int *)array;
+    array = s->out.source;
+    room = s->triangle_room;
+    SFEMI_TRY(sfemi_clip_room(s, &array, sizeof *s->out.source, n, &room, err));
+    s->out.source = (sfem_int *)array;
+    s->triangle_room = room;
+    for (k = 0; k < 3; ++k) s->out.tri[3 * (size_t)n + (size_t)k] = v[reversed ? 2 - k : k];
+    s->out.node[n] = s->node_of_piece[piece];
+    s->out.source[n] = triangle;
+    ++s->out.triangles;
+    s->out.inner += triangle < 0;
+done:
+    return status;
+}
+
+/* Fills what a piece's edges bound in the plane, and adds it to a piece; of inner faces to one on each side. */
+static sfem_status sfemi_clip_emit(sfemi_clip *s, sfem_int bounds, sfem_int triangle, sfem_int piece, int reversed,
+                                  sfem_error *err)
+{
+    sfemi_clip_plane *p = &s->plane;
+    sfem_status status = SFEM_OK;
+    sfem_int i, id[3];
+    int k;
+    if (bounds != -1) sfemi_plane_fill(p, bounds);
+    for (i = 0; i < p->triangles; ++i) {
+        for (k = 0; k < 3; ++k) id[k] = p->id[p->tri[3 * i + k]];
+        SFEMI_TRY(sfemi_clip_triangle(s, id, triangle, piece, reversed, err));
+    }
+done:
+    return status;
+}
+
+/* Parts of a render triangle, whose segments are [begin, end). */
+static sfem_status sfemi_clip_render(sfemi_clip *s, sfem_int triangle, sfem_int begin, sfem_int end, sfem_error *err)
+{
+    sfemi_clip_plane *p = &s->plane;
+    sfem_status status = SFEM_OK;
+    sfem_int a[3], corner[3], first[3], last[3], i, j;
+    size_t edges = 3 + 2 * (size_t)(end - begin);
+    int k;
+    if (!sfemi_clip_corners(s, triangle, a)) return SFEM_OK;
+    for (k = 0; k < 3; ++k) {
+        sfem_int edge[2];
+        edge[0] = a[k];
+        edge[1] = a[(k + 1) % 3];
+        sfemi_clip_edge_hits(s, 0, edge, first + k, last + k);
+        edges += (size_t)(last[k] - first[k]);
+    }
+    SFEMI_TRY(sfemi_plane_clear(s, 2 * edges, err)); /* with those that close paths */
+    for (k = 0; k < 3; ++k)
+        corner[k] = sfemi_plane_vertex(s, 4 * s->e->tri[3 * (size_t)triangle + (size_t)k] + SFEMI_CLIP_POINT, k == 1, k == 2);
+    for (k = 0; k < 3; ++k) {
+        const int next = (k + 1) % 3, along = a[k] < a[next];
+        const sfem_int count = last[k] - first[k];
+        sfem_int from = corner[k], piece = s->label[a[k]];
+        for (i = 0; i < count; ++i) {
+            const sfem_int number = s->order[along ? first[k] + i : last[k] - 1 - i];
+            const sfemi_clip_hit *h = s->hit + number;
+            const sfem_real t = along ? h->t : 1 - h->t;
+            const sfem_int to = sfemi_plane_vertex(s, 4 * number + SFEMI_CLIP_HIT, k == 0 ? t : k == 1 ? 1 - t : 0,
+                                                   k == 0 ? 0 : k == 1 ? t : 1 - t);
+            sfemi_plane_edge(p, from, to, piece);
+            piece = h->face < 0 ? h->gap[along] : s->face[h->face].piece[(h->sign > 0) == along];
+            from = to;
+        }
+        sfemi_plane_edge(p, from, corner[next], piece);
+    }
+    for (i = begin; i < end; ++i) {
+        const sfemi_clip_segment *g = s->segment + i;
+        sfem_int v[2];
+        for (k = 0; k < 2; ++k) {
+            const sfem_int number = k ? g->end : g->start;
+            const sfemi_clip_hit *h = s->hit + number;
+            v[k] = sfemi_plane_vertex(s, 4 * number + SFEMI_CLIP_HIT, h->w[1], h->w[2]); /* those of edges are known */
+        }
+        sfemi_plane_edge(p, v[0], v[1], s->face[g->t].piece[1]);
+        sfemi_plane_edge(p, v[1], v[0], s->face[g->t].piece[0]);
+    }
+    for (i = 0; i < p->edges; ++i) {
+        j = p->edge[3 * i + 2];
+        if (j >= 0) SFEMI_TRY(sfemi_clip_emit(s, j, triangle, j, 0, err));
+    }
+    SFEMI_TRY(sfemi_clip_emit(s, SFEMI_CLIP_REST, triangle, s->label[a[0]], 0, err));
+done:
+    return status;
+}
+
+/* The part of a T inside of S, for the pieces on both sides; order[begin..end) are its segments. */
+static sfem_status sfemi_clip_inner(sfemi_clip *s, sfem_int face, const sfem_int *order, sfem_int count, sfem_error *err)
+{
+    const sfemi_clip_face *f = s->face + face;
+    sfemi_clip_plane *p = &s->plane;
+    sfem_status status = SFEM_OK;
+    sfem_int corner[3], first[3], last[3], i, j;
+    size_t edges = (size_t)count;
+    int k, rotates, most = 1;
+    for (k = 0; k < 3; ++k) {
+        sfem_int edge[2];
+        edge[0] = s->points + f->corner[k];
+        edge[1] = s->points + f->corner[(k + 1) % 3];
+        sfemi_clip_edge_hits(s, 1, edge, first + k, last + k);
+        rotates = abs(s->winding[f->corner[k]]) + (int)(last[k] - first[k]);
+        if (rotates > most) most = rotates;
+        edges += (size_t)(last[k] - first[k]) + 1;
+    }
+    SFEMI_TRY(sfemi_plane_clear(s, edges * (size_t)most, err));
+    for (k = 0; k < 3; ++k) corner[k] = sfemi_plane_vertex(s, 4 * f->corner[k] + SFEMI_CLIP_CORNER, k == 1, k == 2);
+    for (k = 0; k < 3; ++k) {
+        const int next = (k + 1) % 3, along = f->corner[k] < f->corner[next];
+        const sfem_int hits = last[k] - first[k];
+        sfem_int from = corner[k], to;
+        rotates = s->winding[f->corner[k]];
+        for (i = 0; i <= hits; ++i) {
+            const sfem_int number = i == hits ? -1 : s->order[along ? first[k] + i : last[k] - 1 - i];
+            const sfemi_clip_hit *h = s->hit + number;
+            const sfem_real t = number < 0 ? 1 : along ? h->t : 1 - h->t;
+            to = number < 0 ? corner[next]
+                            : sfemi_plane_vertex(s, 4 * number + SFEMI_CLIP_HIT, k == 0 ? t : k == 1 ? 1 - t : 0,
+                                                 k == 0 ? 0 : k == 1 ? t : 1 - t);
+            for (j = 0; j < abs(rotates); ++j) sfemi_plane_edge(p, rotates > 0 ? from : to, rotates > 0 ? to : from, 0);
+            if (number >= 0) rotates += (h->sign > 0) == along ? -1 : 1;
+            from = to;
+        }
+    }
+    for (i = 0; i < count; ++i) {
+        const sfemi_clip_segment *g = s->segment + order[i];
+        sfem_int v[2];
+        for (k = 0; k < 2; ++k) {
+            const sfem_int number = k ? g->end : g->start;
+            v[k] = sfemi_plane_vertex(s, 4 * number + SFEMI_CLIP_HIT, s->hit[number].w[1], s->hit[number].w[2]);
+        }
+        sfemi_plane_edge(p, v[0], v[1], 0);
+    }
+    SFEMI_TRY(sfemi_clip_emit(s, 0, -1, f->piece[0], 0, err));
+    SFEMI_TRY(sfemi_clip_emit(s, -1, -1, f->piece[1], 1, err));
+done:
+    return status;
+}
+
+static sfem_status sfemi_clip_all(sfemi_clip *s, sfem_error *err)
+{
+    sfem_status status = SFEM_OK;
+    sfem_int *order, *bucket, i, j, begin, n;
+    SFEMI_TAKE(sfem_int, s->local, &s->pool, (size_t)s->hits + 1);
+    for (i = 0; i < s->hits; ++i) s->local[i] = -1;
+    for (i = 0, begin = 0; i < s->e->info.triangles; ++i) {
+        for (j = begin; j < s->segments && s->segment[j].s == i; ++j) {}
+        SFEMI_TRY(sfemi_clip_render(s, i, begin, j, err));
+        begin = j;
+    }
+    SFEMI_TAKE(sfem_int, order, &s->pool, (size_t)s->segments + 1);
+    SFEMI_TAKE(sfem_int, bucket, &s->pool, (size_t)s->faces + 1);
+    if (s->segments)
+        sfemi_mesh_sort(&s->segment->t, sizeof *s->segment / sizeof(sfem_int), s->segments, s->faces, NULL, order, bucket);
+    for (i = 0, begin = 0; i < s->faces; ++i) {
+        for (n = 0; begin + n < s->segments && s->segment[order[begin + n]].t == i; ++n) {}
+        SFEMI_TRY(sfemi_clip_inner(s, i, order + begin, n, err));
+        begin += n;
+    }
+done:
+    return status;
+}
+
+/* weld becomes the first vertex of a place; edges that are not used equally in both directions are counted. */
+static sfem_status sfemi_clip_finish(sfemi_clip *s, sfem_error *err)
+{
+    sfem_embed_pieces *o = &s->out;
+    sfem_status status = SFEM_OK;
+    sfemi_table edges;
+    sfem_int *first, *use, i, number;
+    int k;
+    memset(&edges, 0, sizeof edges);
+    SFEMI_TAKE(sfem_int, first, &s->pool, (size_t)s->place.count + 1);
+    SFEMI_TAKE(sfem_int, use, &s->pool, 3 * (size_t)o->triangles + 1);
+    for (i = o->vertices - 1; i >= 0; --i) first[o->weld[i]] = i;
+    for (i = 0; i < o->vertices; ++i) o->weld[i] = first[o->weld[i]];
+    for (i = 0; i < o->triangles; ++i)
+        for (k = 0; k < 3; ++k) {
+            const sfem_int a = o->weld[o->tri[3 * (size_t)i + (size_t)k]];
+            const sfem_int b = o->weld[o->tri[3 * (size_t)i + (size_t)((k + 1) % 3)]];
+            sfem_int key[4] = {0, 0, 0, 0};
+            if (a == b) continue;
+            key[0] = a < b ? a : b;
+            key[1] = a < b ? b : a;
+            SFEMI_TRY(sfemi_table_add(&edges, key, &number, &s->pool, err));
+            use[number] += a < b ? 1 : -1;
+        }
+    for (i = 0; i < edges.count; ++i) o->open_edges += use[i] != 0;
+done:
+    return status;
+}
+
+/* The result in memory of its own, as long as need be. */
+static sfem_status sfemi_clip_copy(const sfem_embed_pieces *from, const sfem_allocator *al, sfem_embed_pieces *out,
+                                  sfem_error *err)
+{
+    sfem_status status = SFEM_OK;
+    const size_t v = (size_t)from->vertices, t = (size_t)from->triangles;
+    sfem_embed_pieces o = *from;
+    o.allocator = *al;
+    o.tri = o.node = o.source = o.weld = o.point = o.support = NULL;
+    o.share = o.weight = o.arm = NULL;
+    o.normal = NULL;
+#define SFEMI_COPY(T, p, count)                                                                      \
+    do {                                                                                             \
+        SFEMI_NEW(T, o.p, al, (count) + 1);                                                          \
+        if ((count) > 0) memcpy(o.p, from->p, (count) * sizeof(T));                                  \
+    } while (0)
+    SFEMI_COPY(sfem_int, tri, 3 * t);
+    SFEMI_COPY(sfem_int, node, t);
+    SFEMI_COPY(sfem_int, source, t);
+    SFEMI_COPY(sfem_int, weld, v);
+    SFEMI_COPY(sfem_int, point, 3 * v);
+    SFEMI_COPY(sfem_real, share, 3 * v);
+    SFEMI_COPY(sfem_int, support, 4 * v);
+    SFEMI_COPY(sfem_real, weight, 4 * v);
+    SFEMI_COPY(sfem_real, arm, 3 * v);
+    SFEMI_COPY(float, normal, 3 * v);
+#undef SFEMI_COPY
+    *out = o;
+done:
+    if (status != SFEM_OK) sfem_embed_pieces_free(&o);
+    return status;
+}
+
+/* The trees of tets and T. */
+static sfem_status sfemi_clip_trees(sfemi_clip *s, sfem_error *err)
+{
+    sfem_status status = SFEM_OK;
+    sfem_real *bound;
+    sfem_int i, k, v[3];
+    SFEMI_TAKE(sfem_real, bound, &s->pool, 6 * (size_t)s->tets);
+    for (i = 0; i < s->tets; ++i)
+        sfemi_boxes_bound(s->x, s->tet + 4 * (size_t)i, 4, 1e-9, bound + 6 * (size_t)i);
+    SFEMI_TRY(sfemi_boxes_make(&s->tet_tree, s->tets, bound, &s->pool, err));
+    SFEMI_TAKE(sfem_real, bound, &s->pool, 6 * (size_t)s->faces);
+    for (i = 0; i < s->faces; ++i) {
+        for (k = 0; k < 3; ++k) v[k] = s->points + s->face[i].corner[k];
+        sfemi_boxes_bound(s->p, v, 3, 0, bound + 6 * (size_t)i);
+    }
+    SFEMI_TRY(sfemi_boxes_make(&s->face_tree, s->faces, bound, &s->pool, err));
+done:
+    return status;
+}
+
+SFEM_DEF void sfem_embed_pieces_free(sfem_embed_pieces *o)
+{
+    if (!o) return;
+    sfemi_delete(&o->allocator, o->tri);
+    sfemi_delete(&o->allocator, o->node);
+    sfemi_delete(&o->allocator, o->source);
+    sfemi_delete(&o->allocator, o->weld);
+    sfemi_delete(&o->allocator, o->point);
+    sfemi_delete(&o->allocator, o->share);
+    sfemi_delete(&o->allocator, o->support);
+    sfemi_delete(&o->allocator, o->weight);
+    sfemi_delete(&o->allocator, o->arm);
+    sfemi_delete(&o->allocator, o->normal);
+    memset(o, 0, sizeof *o);
+}
+
+SFEM_DEF sfem_status sfem_embed_break(const sfem_embed *e, const sfem_body *b, const sfem_allocator *allocator,
+                                      sfem_embed_pieces *out, sfem_error *err)
+{
+    const sfem_mesh *m = &b->model->mesh;
+    sfem_status status = SFEM_OK;
+    sfem_allocator al;
+    sfemi_clip s;
+    sfem_int i;
+    int k;
+    SFEM_ASSERT(e && b && b->damage && out);
+    if (e->info.nodes != m->nodes || e->tets != m->tets || memcmp(e->corner, m->tet, 4 * (size_t)m->tets * sizeof *m->tet))
+        return sfemi_fail(err, SFEM_MISMATCH, "the body's mesh is not the one that the points are embedded in");
+    memset(&al, 0, sizeof al);
+    if (allocator) al = *allocator;
+    memset(&s, 0, sizeof s);
+    s.pool = sfemi_pool_of(&al);
+    s.e = e;
+    s.b = b;
+    s.m = m;
+    s.piece = b->damage->piece_of;
+    s.points = e->info.points;
+    SFEMI_TRY(sfemi_clip_collect_tets(&s, err));
+    SFEMI_TRY(sfemi_clip_collect_faces(&s, err));
+    SFEMI_TRY(sfemi_clip_place(&s, err));
+    if (s.faces) SFEMI_TRY(sfemi_clip_trees(&s, err));
+    for (k = 0; k < SFEMI_CLIP_TRIES; ++k) {
+        sfemi_clip_move(&s, k);
+        if (!s.faces) break;
+        sfemi_clip_label(&s);
+        SFEMI_TRY(sfemi_clip_meet(&s, err));
+        SFEMI_TRY(sfemi_clip_sort(&s, err));
+        if (!s.uncertain) break;
+    }
+    if (s.faces) SFEMI_TRY(sfemi_clip_gaps(&s, err));
+    for (i = 0; !s.faces && i < s.points; ++i) s.label[i] = s.piece[e->node[4 * (size_t)i]];
+    if (s.faces) SFEMI_TRY(sfemi_clip_windings(&s, err));
+    SFEMI_TRY(sfemi_clip_all(&s, err));
+    SFEMI_TRY(sfemi_clip_finish(&s, err));
+    SFEMI_TRY(sfemi_clip_copy(&s.out, &al, out, err));
+done:
+    sfemi_pool_free(&s.pool);
+    return status;
+}
+
+/* ---- where the pieces are ---- */
+
+/* N_k of the tets in one piece; of nodes without any, their rotation. */
+static void sfemi_embed_pieces_nodes(sfem_embed *e, const sfem_body *b)
+{
+    const sfem_int *piece = b->damage->piece_of;
+    sfem_int i, k;
+    int c;
+    for (i = 0; i < e->info.nodes; ++i) {
+        float *to = e->cof + 12 * (size_t)i, volume = 0;
+        memset(to, 0, 12 * sizeof *to);
+        for (k = e->start[i]; k < e->start[i + 1]; ++k) {
+            const sfem_int *v = e->corner + 4 * (size_t)e->of_live[e->of[k]];
+            const float *from = e->tets_cof + 12 * (size_t)e->of[k], *a = e->edge + 9 * (size_t)e->of[k];
+            for (c = 1; c < 4; ++c)
+                if (piece[v[c]] != piece[v[0]]) break;
+            if (c < 4) continue;
+            volume += 36 * (a[6] * (a[1] * a[5] - a[2] * a[4]) + a[7] * (a[2] * a[3] - a[0] * a[5]) +
+                            a[8] * (a[0] * a[4] - a[1] * a[3]));
+            for (c = 0; c < 12; ++c) to[c] += from[c];
+        }
+        for (c = 0; c < 9; ++c) {
+            float *m = to + 4 * (c % 3) + c / 3;
+            *m = volume > 0 ? *m / volume : (float)b->rotated.sum[9 * (size_t)i + (size_t)c];
+        }
+    }
+}
+
+static void sfemi_embed_pieces_vertex(const sfem_embed *e, const sfem_embed_pieces *o, const sfem_body *b, sfem_int v,
+                                      sfem_real x[3], sfem_real n[3])
+{
+    const sfem_int *node = o->support + 4 * (size_t)v;
+    const sfem_real *w = o->weight + 4 * (size_t)v, *arm = o->arm + 3 * (size_t)v;
+    const int rotates = arm[0] > 0 || arm[0] < 0 || arm[1] > 0 || arm[1] < 0 || arm[2] > 0 || arm[2] < 0;
+    sfem_int members[4];
+    float normal[4], share[4];
+    int k, c;
+    for (c = 0; c < 3; ++c) x[c] = n[c] = 0;
+    for (k = 0; k < 4 && node[k] >= 0; ++k) {
+        const size_t at = 3 * (size_t)node[k];
+        for (c = 0; c < 3; ++c) {
+            x[c] += w[k] * (b->model->mesh.x[at + (size_t)c] + b->state.u[at + (size_t)c]);
+            if (rotates) x[c] += w[k] * sfemi_dot3(b->rotated.sum + 3 * at + 3 * c, arm);
+        }
+    }
+    if (!e) return;
+    for (k = 0; k < 4; ++k) {
+        members[k] = node[k] >= 0 ? node[k] : node[0]; /* w = 0 of those missing */
+        share[k] = w[k] > 0 ? (float)w[k] : 0;
+    }
+    sfemi_embed_normal(e->cof, members, share, o->normal + 3 * (size_t)v, normal);
+    for (c = 0; c < 3; ++c) n[c] = (sfem_real)normal[c];
+}
+
+/* Normals of inner faces, from places that are floats or not: sums of the triangles' areas, then of unit length. */
+static void sfemi_embed_pieces_inner(const sfem_embed_pieces *o, const sfemi_embed_job *j)
+{
+    sfem_int i;
+    int k, c, round;
+    for (round = 0; round < 2; ++round)
+        for (i = o->triangles - o->inner; i < o->triangles; ++i) {
+            const sfem_int *v = o->tri + 3 * (size_t)i;
+            sfem_real x[3][3], u[3], w[3], n[3], size;
+            for (k = 0; k < 3; ++k)
+                for (c = 0; c < 3; ++c) {
+                    const char *from = (round ? j->n : j->x) + (size_t)v[k] * j->stride;
+                    x[k][c] = j->floats ? (sfem_real)((const float *)(const void *)from)[c]
+                                        : ((const sfem_real *)(const void *)from)[c];
+                }
+            sfemi_sub3(x[1], x[0], u);
+            sfemi_sub3(x[2], x[0], w);
+            sfemi_cross(u, w, n);
+            for (k = 0; k < 3; ++k) {
+                char *to = j->n + (size_t)v[k] * j->stride;
+                size = sqrt(sfemi_dot3(x[k], x[k]));
+                size = size > 0 ? 1 / size : 0;
+                for (c = 0; c < 3; ++c) u[c] = x[k][c] * size;
+                if (round) sfemi_embed_store(to, j->floats, u);
+                else
+                    for (c = 0; c < 3; ++c)
+                        if (j->floats) ((float *)(void *)to)[c] += (float)n[c];
+                        else ((sfem_real *)(void *)to)[c] += n[c];
+            }
+        }
+}
+
+static void sfemi_embed_pieces_apply(sfemi_embed_job *j, const sfem_embed_pieces *o, sfem_body *b)
+{
+    sfem_embed *e = j->embed;
+    sfem_int v;
+    SFEM_ASSERT(e && o && b && b->damage && j->x && (!j->n || e->normal));
+    sfemi_workspace_bind(b);
+    sfemi_fragments_rotate(b);
+    if (j->n) {
+        j->u = b->state.u;
+        sfemi_run(&e->exec, sfemi_embed_blocks(e->live), sfemi_embed_tets_task, j);
+        sfemi_embed_pieces_nodes(e, b);
+    }
+    for (v = 0; v < o->vertices; ++v) {
+        sfem_real x[3], n[3];
+        sfemi_embed_pieces_vertex(j->n ? e : NULL, o, b, v, x, n);
+        sfemi_embed_store(j->x + (size_t)v * j->stride, j->floats, x);
+        if (j->n) sfemi_embed_store(j->n + (size_t)v * j->stride, j->floats, n);
+    }
+    if (j->n) sfemi_embed_pieces_inner(o, j);
+}
+
+SFEM_DEF void sfem_embed_pieces_positions(sfem_embed *e, const sfem_embed_pieces *o, sfem_body *b, sfem_real *x,
+                                          sfem_real *n)
+{
+    sfemi_embed_job j;
+    memset(&j, 0, sizeof j);
+    j.embed = e;
+    j.x = (char *)x;
+    j.n = (char *)n;
+    j.stride = 3 * sizeof *x;
+    sfemi_embed_pieces_apply(&j, o, b);
+}
+
+SFEM_DEF void sfem_embed_pieces_to_floats(sfem_embed *e, const sfem_embed_pieces *o, sfem_body *b, float *x, float *n,
+                                          size_t stride)
+{
+    sfemi_embed_job j;
+    SFEM_ASSERT(stride >= 3 * sizeof(float) && stride % sizeof(float) == 0);
+    memset(&j, 0, sizeof j);
+    j.embed = e;
+    j.x = (char *)x;
+    j.n = (char *)n;
+    j.stride = stride;
+    j.floats = 1;
+    sfemi_embed_pieces_apply(&j, o, b);
+}
+#endif /* SFEM_NO_DAMAGE */
+#endif /* SFEM_NO_EMBED */
+
 #ifdef __cplusplus
 }
 #endif
@@ -32306,9 +38808,9 @@ SFEM_DEF sfem_receiver_info sfem_receiver_get_info(const sfem_receiver *receiver
 /* --- vectors ---------------------------------------------------------------------------------
  * Doubles are 4 wide, on AVX-512 8; floats 8 wide on every path. */
 #if SFEMI_PATH == 2 && !defined(SFEMI_EMULATE_AVX512) /* a test's, for processors without it */
-#define SFEMI_TARGET __attribute__((target("avx512f,avx2,fma")))
+#define SFEMI_TARGET SFEMI_TARGET_2
 #elif SFEMI_PATH >= 1
-#define SFEMI_TARGET __attribute__((target("avx2,fma")))
+#define SFEMI_TARGET SFEMI_TARGET_1
 #else
 #define SFEMI_TARGET
 #endif
@@ -32471,6 +38973,7 @@ static SFEMI_INLINE void SFEMI_KERNEL(sfemi_v_store)(SFEMI_R *p, SFEMI_V v)
     }
 #endif
 
+#ifndef SFEM_NO_MODEL
 /* --- the factor of one front -----------------------------------------------------------------
  *
  * A front has f rows, of which the first k are eliminated. Its rows stand in tiles of 3 vectors,
@@ -33220,6 +39723,8 @@ static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_backward8)(size_t per, size_t k,
 }
 #undef SFEMI_OUTER
 
+#endif /* SFEM_NO_MODEL */
+
 #ifndef SFEM_NO_REDUCED
 /* --- modal bodies ------------------------------------------------------------------------------ */
 
@@ -33534,6 +40039,7 @@ static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_backward4)(size_t per, size_t k,
     }
 }
 
+#if SFEMI_PATH < 2
 /* Tall matrices of the eigen-solver: a basis in panels of 24 columns, each [rows][24], stride numbers
  * apart, and blocks [rows][4]; rows a multiple of 24, 96 at a time so that they stay in the first-level
  * cache. */
@@ -33678,6 +40184,7 @@ static SFEMI_TARGET void SFEMI_KERNEL(sfemi_modes_scale)(const double *factor, c
     for (c = 0; c < 3; ++c)
         SFEMI_ST4(to + 4 * c, SFEMI_MUL4(SFEMI_DUP4(factor[c]), SFEMI_LD4(from + 4 * c)));
 }
+#endif
 #undef SFEMI_V4
 #undef SFEMI_LD4
 #undef SFEMI_ST4
@@ -33713,8 +40220,12 @@ static SFEMI_TARGET void SFEMI_KERNEL(sfemi_modes_scale)(const double *factor, c
  *   next    smooth tets (sfem_material.tet), which do not lock in bending or as nu nears 0.5
  *   0.4.0   the step of nonlinear bodies is corrected by L-BFGS with its factor (accuracy, dissipation in place of
  *           corrections); linear bodies keep their energy where steps, pins or handles change; impulses; damping
- *           forces with (p,q,r); refactorise in place of renew; Medit meshes; surfaces and tets from them; bodies may
- *           share a workspace; switches that leave parts out; states saved by 0.3.0 are refused
+ *           forces with (p,q,r); refactorise in place of renew; Medit, Abaqus, .vtu and binary VTK meshes; sets and
+ *           regions by name; welding; surfaces and tets from them; render surfaces that follow and break; bodies may
+ *           share a workspace; handles hold regions, yield and have a limit; switches that leave parts out; states
+ *           saved by 0.3.0 are refused. set_force and add_node_force are set_lasting_force and add_lasting_force;
+ *           forces of one step; bodies are placed; normals; sfem_modal_velocities is of nodes; handles protect the
+ *           edges that they hold; sfem_model_advice
  *   0.3.0   Gmsh 2.2 and binary, .veg, TetGen; stress by the law; p by step; modal handles as springs, fitted
  *           oscillators; rejected steps by Newton; states saved by 0.2.0 are refused
  *   0.2.0   modes, modal bodies and warping, lossy links, fracture, KR-alpha and its kin, sleep, renewed

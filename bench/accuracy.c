@@ -228,7 +228,7 @@ static double deflection(int n, double nu)
         for (k = 0; end && k < 3; ++k) force[3 * t[k] + 2] -= 50 * each / 3;
         if (end) area += each;
     }
-    bench_must(sfem_body_set_force(body, force, &err), &err);
+    bench_must(sfem_body_set_lasting_force(body, force, &err), &err);
     bench_must(sfem_body_solve_static(body, &err), &err);
     for (i = 0; i < b.n; ++i) /* work of the load: the mean weighted by it */
         mean += force[3 * i + 2] * sfem_body_displacement(body)[3 * i + 2],
@@ -661,7 +661,7 @@ static double pqr_against_newmark(double p, int damped)
     for (j = 0; j < 200; ++j) {
         for (i = 0; i < 3 * b.n; ++i) f[i] = 0.1 * sin(0.37 * j + i);
         for (k = 0; k < 2; ++k) {
-            bench_must(sfem_body_set_force(body[k], f, &err), &err);
+            bench_must(sfem_body_set_lasting_force(body[k], f, &err), &err);
             run(body[k], 0.02, 1);
         }
         worst = fmax(worst, distance(sfem_body_displacement(body[0]),
@@ -856,7 +856,7 @@ static void warping(void)
         sfem_body *body = hold(&b, sfem_default_body_def());
         double tip = 0;
         for (i = 0; i < b.n; ++i) force[3 * i + 2] = -weight[k] * mass[i] / total;
-        bench_must(sfem_body_set_force(body, force, &err), &err);
+        bench_must(sfem_body_set_lasting_force(body, force, &err), &err);
         bench_must(sfem_body_solve_static(body, &err), &err);
         memcpy(exact, sfem_body_displacement(body), 3 * (size_t)b.n * sizeof(double));
         sfem_body_free(body);
@@ -867,7 +867,7 @@ static void warping(void)
             sfem_modal *modal;
             def.warp = (sfem_warp)w;
             bench_must(sfem_modal_create(reduced, &def, &modal, &err), &err);
-            bench_must(sfem_modal_set_force(modal, force, &err), &err);
+            bench_must(sfem_modal_set_lasting_force(modal, force, &err), &err);
             bench_must(sfem_modal_solve_static(modal, NULL, &err), &err);
             sfem_modal_displacements(modal, view, u);
             row(error[k][w], distance(u, exact, 3 * b.n) / sqrt((double)b.n),
@@ -1087,18 +1087,22 @@ static void calculix(void)
         double *force = reals(3 * b.n), *u = reals(3 * b.n);
         sfem_body_def def = sfem_default_body_def();
         uint64_t random = 9;
-        char command[600];
+        char command[700];
         sfem_body *body;
         sfem_error err;
         sfem_int i;
-        char directory[] = "/tmp/softfem_ccx_XXXXXX", path[300];
+        const char *scratch = getenv("SFEM_SCRATCH");
+        char directory[300], path[400];
         def.newton.tolerance = 1e-10;
         def.newton.load_steps = finite ? 10 : 1;
         for (i = 0; i < 3 * b.n; ++i) force[i] = uniform(&random, -10, 10) + (i % 3 == 2 ? -18 : 0);
         for (i = 0; i < b.pin_count; ++i) memset(force + 3 * b.pins[i], 0, 3 * sizeof *force);
         body = hold(&b, def);
-        bench_must(sfem_body_set_force(body, force, &err), &err);
+        bench_must(sfem_body_set_lasting_force(body, force, &err), &err);
         bench_must(sfem_body_solve_static(body, &err), &err);
+        if (!scratch || !*scratch) scratch = "/tmp";
+        ex_make_directory(scratch);
+        snprintf(directory, sizeof directory, "%s/softfem_ccx_XXXXXX", scratch);
         if (mkdtemp(directory)) name = directory;
         snprintf(path, sizeof path, "%s/bar", name);
         snprintf(command, sizeof command, "cd '%s' && OMP_NUM_THREADS=1 ccx bar >bar.log 2>&1",

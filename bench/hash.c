@@ -117,6 +117,7 @@ static void hash_scene(stress_scene scene, stress_form form)
     X(PINS, "pins change")                                                                         \
     X(REPIN_AXES, "pins of single axes move")                                                      \
     X(HANDLES, "three handles")                                                                    \
+    X(REGIONS, "regions that yield")                                                               \
     X(SAVED, "saved, stepped, loaded, stepped")                                                    \
     X(FOURTH, "start of fourth order")                                                             \
     X(GUI, "Gui-lambda")                                                                           \
@@ -178,6 +179,8 @@ static sfem_status hash_build(hash_rig *g, sfem_law law, hash_option option, sfe
     body.pins = g->pin;
     body.pin_count = g->pins;
     body.gravity[2] = -9.81;
+    if (option != HASH_REGIONS) body.handle_compliance = 0;
+    else body.handle_max_force = 30;
     g->damage = sfem_default_damage_def();
     switch (option) {
     case HASH_PIECE:
@@ -234,7 +237,7 @@ static sfem_status hash_act(hash_rig *g, sfem_law law, hash_option option, int k
     int c, i;
     if (option == HASH_REFACTORISE && k == 4 && law != SFEM_LINEAR)
         return sfem_body_refactorise(g->body, NULL, err);
-    if (option == HASH_SLEEP && k == 30) return sfem_body_add_node_force(g->body, last, push, err);
+    if (option == HASH_SLEEP && k == 30) return sfem_body_add_lasting_force(g->body, last, push, err);
     if (option == HASH_STATIC && k == 0) return sfem_body_solve_static(g->body, err);
     if (option == HASH_PINS && k % 10 == 5)
         return sfem_body_set_pins(g->body, g->pins - k / 10, g->pin, NULL, err);
@@ -258,6 +261,17 @@ static sfem_status hash_act(hash_rig *g, sfem_law law, hash_option option, int k
         if (k == 30) sfem_body_release_handle(g->body, g->handle[1]);
         return status;
     }
+    if (option == HASH_REGIONS && (k == 3 || k == 6)) {
+        sfem_int node[12];
+        for (i = 0; i < 12; ++i) node[i] = last - i - 3 * k + 9;
+        return sfem_body_grab_region(g->body, 12, node, NULL, g->handle + (k == 6), err);
+    }
+    if (option == HASH_REGIONS && k > 6 && k < 30) {
+        sfem_body_handle_position(g->body, g->handle[k % 2], x);
+        for (c = 0; c < 3; ++c) x[c] += 0.02 * ((k + c) % 4);
+        return sfem_body_move_handle(g->body, g->handle[k % 2], x, err);
+    }
+    if (option == HASH_REGIONS && k == 30) sfem_body_release_handle(g->body, g->handle[1]);
     if (option == HASH_SAVED && k == 20) {
         const size_t bytes = sfem_body_state_size(g->body);
         void *block = body_new(bytes, 1);

@@ -12,8 +12,9 @@
  *   fig. 1, tables 1-2, fig. 5  time of a step, implicit Newmark with 1, 3, 5 iterations against the
  *              proposed method. The models are not to be had: blocks of the nearest numbers of tets stand for them,
  *              held at one end, falling, E = 1e6 Pa, nu = .3, corotational, h = 1/60 s, one thread.
- *   figs. 6-7  a node pulled along x, implicit against proposed under f, 10 f, 100 f, 200 f. Neither mesh nor
- *              load are given: a block of 432 tets, a force that rises, stays and falls over 100 steps.
+ *   figs. 6-8  a node pulled along x, implicit against proposed under f, 10 f, 100 f, 200 f. Neither mesh nor
+ *              load are given: a block of 432 tets, a force that rises, stays and falls over 100 steps. Fig. 8: the
+ *              deformed block at the end of the full load, as it is, and magnified to the same load.
  */
 #include "../examples/support.h"
 #include "softfem.h"
@@ -479,7 +480,7 @@ static void speeds(const char *out, int quick)
 }
 
 /* --------------------------------------------------------------------------------------------
- * figs. 6-7
+ * figs. 6-8
  * -------------------------------------------------------------------------------------------- */
 
 static double history(int k) /* of the load, N, at step k */
@@ -488,10 +489,10 @@ static double history(int k) /* of the load, N, at step k */
     return k < 20 ? f * k / 20 : k < 50 ? f : k < 70 ? f * (70 - k) / 20 : 0;
 }
 
-enum { IMPLICIT, AS_PRINTED, AVERAGED };
+enum { IMPLICIT, AS_PRINTED, AVERAGED, PEAK = 49 }; /* the last step of the full load */
 
-/* x of the node that is pulled. */
-static void pull(sfem_model *model, int way, double scale, double *x)
+/* x of the node that is pulled; the displacements [nodes][3] at the end of the full load, unless shape is NULL. */
+static void pull(sfem_model *model, int way, double scale, double *x, double *shape)
 {
     const sfem_int node = sfem_model_mesh(model)->nodes - 1;
     sfem_real *force = (sfem_real *)ex_new(3 * (size_t)node + 3, sizeof *force);
@@ -509,9 +510,11 @@ static void pull(sfem_model *model, int way, double scale, double *x)
     sfem_body_start(body);
     for (k = 0; k < STEPS; ++k) {
         force[3 * node] = scale * history(k + 1);
-        must(sfem_body_set_force(body, force, &err), &err);
+        must(sfem_body_set_lasting_force(body, force, &err), &err);
         must(sfem_body_step(body, 1 / 60.0, &err), &err);
         x[k] = sfem_body_displacement(body)[3 * node];
+        if (shape && k == PEAK)
+            memcpy(shape, sfem_body_displacement(body), (3 * (size_t)node + 3) * sizeof *shape);
     }
     sfem_body_free(body);
     free(force);
@@ -525,6 +528,68 @@ static double furthest(const double *a, const double *b)
     return most;
 }
 
+/* Fig. 8: in the first row deformations as they are, in the second times 100 f over the load. */
+static void draw_shapes(const char *out, const sfem_model *model, double *const shape[5])
+{
+    static const struct {
+        int run;
+        double times;
+        const char *caption;
+    } view[6] = {{0, 1, "implicit, f"},
+                 {3, 1, "proposed, 100 f"},
+                 {4, 1, "proposed, 200 f"},
+                 {0, 100, "implicit, f, displacements x 100"},
+                 {1, 100, "proposed, f, displacements x 100"},
+                 {4, 0.5, "proposed, 200 f, displacements x 1/2"}};
+    const sfem_mesh *mesh = sfem_model_mesh(model);
+    const double direction[3] = {0.6, -1, 0.55};
+    double *x = (double *)ex_new(3 * (size_t)mesh->nodes, sizeof *x), lower[3], upper[3];
+    double *length = (double *)ex_new((size_t)mesh->nodes, sizeof *length), low;
+    ex_picture *p = ex_picture_new(1500, 760);
+    ex_style style = ex_default_style();
+    sfem_surface surface;
+    sfem_error err;
+    sfem_int i;
+    int v, pass;
+    must(sfem_mesh_surface(mesh, NULL, &surface, &err), &err);
+    p->bar = 1;
+    for (pass = 0; pass < 2; ++pass) /* the box of all views first */
+        for (v = 0; v < 6; ++v) {
+            const double *u = shape[view[v].run];
+            for (i = 0; i < 3 * mesh->nodes; ++i) x[i] = mesh->x[i] + view[v].times * u[i];
+            for (i = 0; i < mesh->nodes; ++i)
+                length[i] = view[v].times * sqrt(ex_dot(u + 3 * (size_t)i, u + 3 * (size_t)i));
+            if (!pass) {
+                double high;
+                ex_bounds(x, mesh->nodes, v == 0, lower, upper);
+                ex_range(length, mesh->nodes, &low, &high);
+                style.high = v ? fmax(style.high, high) : high;
+                continue;
+            }
+            ex_view_begin(p, v, 3, 2, lower, upper, direction);
+            ex_view_surface(p, mesh->nodes, x, surface.triangles, surface.tri, length, &style);
+            ex_view_end(p, view[v].caption);
+        }
+    ex_colorbar(p, "drawn, m", 0, style.high);
+    ex_picture_write(p, ex_path(out, "fig8-deformations.png"));
+    ex_picture_free(p);
+    sfem_surface_free(&surface);
+    free(length);
+    free(x);
+}
+
+/* The largest distance between two fields of displacements, the second taken so many times, over the first. */
+static double shapes_apart(const sfem_mesh *mesh, const double *a, const double *b, double times)
+{
+    double most = 0, far = 0;
+    sfem_int i;
+    for (i = 0; i < 3 * mesh->nodes; ++i) {
+        most = fmax(most, fabs(a[i]));
+        far = fmax(far, fabs(a[i] - times * b[i]));
+    }
+    return far / most;
+}
+
 static void loads(const char *out)
 {
     static const char *const law[2] = {"linear", "corotational"};
@@ -532,6 +597,7 @@ static void loads(const char *out)
                                         "proposed, 100 f", "proposed, 200 f"};
     static const double scale[5] = {1, 1, 10, 100, 200};
     static double x[5][STEPS], averaged[STEPS], step[STEPS], f[STEPS];
+    double *shape[5];
     ex_plot p[3];
     int w, i, k;
     for (k = 0; k < STEPS; ++k) {
@@ -544,13 +610,24 @@ static void loads(const char *out)
     for (w = 1; w >= 0; --w) {
         sfem_model *model =
             make_block(sizes[0].cells, sizes[0].kind, w ? SFEM_COROTATIONAL : SFEM_LINEAR);
-        for (i = 0; i < (w ? 2 : 5); ++i) pull(model, i ? AS_PRINTED : IMPLICIT, scale[i], x[i]);
-        pull(model, AVERAGED, 1, averaged);
+        for (i = 0; i < 5; ++i) {
+            shape[i] = w ? NULL : (double *)ex_new(3 * (size_t)sfem_model_mesh(model)->nodes, sizeof(double));
+            if (!w || i < 2) pull(model, i ? AS_PRINTED : IMPLICIT, scale[i], x[i], shape[i]);
+        }
+        pull(model, AVERAGED, 1, averaged, NULL);
         printf("%-13s implicit f %.6f, proposed f %.6f; apart %.1e with its load, %.1e with "
                "Newmark's\n",
                law[w], furthest(x[0], NULL), furthest(x[1], NULL),
                furthest(x[1], x[0]) / furthest(x[0], NULL),
                furthest(averaged, x[0]) / furthest(x[0], NULL));
+        for (i = 1; !w && i < 5; ++i)
+            printf("%s%s over the load is apart from implicit f by %.1e", i > 1 ? "; " : "Fig. 8: ", name[i],
+                   shapes_apart(sfem_model_mesh(model), shape[0], shape[i], 1 / scale[i]));
+        if (!w) {
+            printf(" of the largest displacement\n");
+            draw_shapes(out, model, shape);
+        }
+        for (i = 0; i < 5; ++i) free(shape[i]);
         sfem_model_free(model);
     }
     printf("linear, proposed over implicit:");

@@ -410,6 +410,7 @@ STRESS_STATIC sfem_body_def stress_def(const stress_body *s, stress_form form, d
     (void)h;
     if (s->held) def.pins = s->pins, def.pin_count = s->pin_count;
     def.max_handles = 2;
+    def.handle_compliance = 0;
     if (s->broken) def.damage = &s->damage;
     switch (form) {
     case STRESS_FORM_ONE_SOLVE:
@@ -1751,7 +1752,7 @@ STRESS_STATIC void stress_run_stream(const stress_scene *scene, stress_form form
         if (k % 40 == 0) { /* a push that a metre of the bar's bending stiffness would give */
             const double push = 0.03 * scene->young * 0.01 * stress_normal(&random);
             force[3 * (m.full.mesh.nodes - 1) + (k / 40) % 3] = push;
-            status = sfem_modal_set_force(m.body[0], force, &err);
+            status = sfem_modal_set_lasting_force(m.body[0], force, &err);
         }
         if (!hands.count && stress_below(&random, 150) == 0 && !whole) {
             status = stress_modal_grab(&m, &hands, &random, &err);

@@ -112,7 +112,7 @@ static void statics(bar *b, FILE *csv)
     for (l = 0; l < 3; ++l) {
         sfem_body *body = make_body(b);
         set_weight(b, weight[l]);
-        bench_must(sfem_body_set_force(body, b->force, &err), &err);
+        bench_must(sfem_body_set_lasting_force(body, b->force, &err), &err);
         t[0] = ex_seconds();
         bench_must(sfem_body_solve_static(body, &err), &err);
         t[0] = ex_seconds() - t[0];
@@ -131,7 +131,7 @@ static void statics(bar *b, FILE *csv)
             for (l = 0; l < 3; ++l) {
                 sfem_modal *modal = make_modal(reduced, w, SFEM_MODAL_NEWMARK);
                 set_weight(b, weight[l]);
-                bench_must(sfem_modal_set_force(modal, b->force, &err), &err);
+                bench_must(sfem_modal_set_lasting_force(modal, b->force, &err), &err);
                 t[1] = ex_seconds();
                 if (sfem_modal_solve_static(modal, NULL, &err) == SFEM_OK) {
                     t[1] = ex_seconds() - t[1];
@@ -164,7 +164,7 @@ static void swing(bar *b, FILE *csv, int quick)
     sfem_error err;
     int i, k, w;
     set_weight(b, 2000);
-    bench_must(sfem_body_set_force(body, b->force, &err), &err);
+    bench_must(sfem_body_set_lasting_force(body, b->force, &err), &err);
     start = ex_seconds();
     for (i = 0; i < steps * fine; ++i) {
         bench_must(sfem_body_step(body, h / fine, &err), &err);
@@ -277,7 +277,7 @@ static void speed(FILE *csv)
                 const double nodes = sfem_reduced_view_count(view);
                 double reads;
                 if (load) bench_must(sfem_modal_set_gravity(modal, g, &err), &err);
-                bench_must(sfem_modal_add_node_force(modal, mesh.nodes - 1, f, &err), &err);
+                bench_must(sfem_modal_add_lasting_force(modal, mesh.nodes - 1, f, &err), &err);
                 for (i = -50; i < REPEATS; ++i) {
                     double a = ex_seconds(), b, c;
                     bench_must(sfem_modal_step(modal, 1 / 60.0, &err), &err);

@@ -8,7 +8,7 @@
  *     ex_view_line(p, a, b, width, color)                an arrow's shaft, or a dot where a = b
  *     ex_view_end(p, "t = 0.2 s");
  *     ex_colorbar(p, "stress, Pa", low, high);           ex_label(p, x, y, size, align, text)
- *     ex_picture_write(p, "body.png");
+ *     ex_picture_write(p, "body.png");                   ex_picture_write_small(p, ...) in 256 colours
  *     ex_picture_free(p);
  *
  * x is [nodes][3] doubles, triangles [n][3] node numbers, counter-clockwise from outside; value
@@ -18,8 +18,8 @@
 #define SFEM_EXAMPLES_PICTURE_H
 
 /* --------------------------------------------------------------------------------------------
- * PNG: 8-bit RGB, rows as differences from above or from the left, deflated with fixed codes
- * [RFC 1950, 1951, 2083]
+ * PNG: 8-bit RGB, rows as differences from above, from the left or from both, or a palette; deflated with codes of
+ * their own [RFC 1950, 1951, 2083]
  * -------------------------------------------------------------------------------------------- */
 
 typedef struct ex_bytes {
@@ -59,18 +59,6 @@ EX_STATIC void ex_code(ex_bytes *b, uint32_t code, int count) /* Huffman codes: 
     while (count--) ex_bits(b, (code >> count) & 1, 1);
 }
 
-EX_STATIC void ex_literal(ex_bytes *b, uint32_t symbol) /* the fixed code of literals and lengths */
-{
-    if (symbol < 144)
-        ex_code(b, 48 + symbol, 8);
-    else if (symbol < 256)
-        ex_code(b, 400 + symbol - 144, 9);
-    else if (symbol < 280)
-        ex_code(b, symbol - 256, 7);
-    else
-        ex_code(b, 192 + symbol - 280, 8);
-}
-
 /* Lengths 3.. and distances 1.. share a pattern: the first 2 m values have a code of their own,
  * then every m codes cover twice as many values, told apart by one more bit each. */
 EX_STATIC uint32_t ex_class(uint32_t value, uint32_t m, int *extra_bits, uint32_t *extra)
@@ -89,54 +77,171 @@ EX_STATIC uint32_t ex_class(uint32_t value, uint32_t m, int *extra_bits, uint32_
     return code;
 }
 
-EX_STATIC void ex_match(ex_bytes *b, uint32_t length, uint32_t distance)
+typedef struct ex_codes { /* Huffman's, of literals and lengths, of distances, or of lengths of codes */
+    int count;
+    uint32_t used[288], code[288];
+    unsigned char length[288]; /* bits; 0: unused */
+} ex_codes;
+
+/* The lengths of optimal codes; where one is longer than most, of flatter and flatter counts. */
+EX_STATIC void ex_codes_lengths(ex_codes *c, int most)
 {
-    int bits;
-    uint32_t extra, code;
-    code = ex_class(length - 3, 4, &bits, &extra);
-    ex_literal(b, 257 + code);
-    ex_bits(b, extra, bits);
-    code = ex_class(distance - 1, 2, &bits, &extra);
-    ex_code(b, code, 5);
-    ex_bits(b, extra, bits);
+    enum { NODES = 2 * 288 };
+    uint32_t weight[NODES];
+    int parent[NODES], i, nodes, pair[2], left, longest;
+    for (i = 0; i < 2; ++i) c->used[i] += c->used[i] == 0; /* at least two codes */
+    do {
+        for (left = 0, i = 0; i < c->count; ++i) {
+            weight[i] = c->used[i];
+            parent[i] = -1;
+            left += weight[i] > 0;
+        }
+        for (nodes = c->count; left > 1; --left, ++nodes) { /* the two lightest get a parent */
+            pair[0] = pair[1] = -1;
+            for (i = 0; i < nodes; ++i) {
+                if (!weight[i] || parent[i] >= 0) continue;
+                if (pair[0] < 0 || weight[i] < weight[pair[0]])
+                    pair[1] = pair[0], pair[0] = i;
+                else if (pair[1] < 0 || weight[i] < weight[pair[1]])
+                    pair[1] = i;
+            }
+            weight[nodes] = weight[pair[0]] + weight[pair[1]];
+            parent[nodes] = -1;
+            parent[pair[0]] = parent[pair[1]] = nodes;
+        }
+        for (longest = 0, i = 0; i < c->count; ++i) {
+            int up = i, bits = 0;
+            while (weight[i] && parent[up] >= 0) up = parent[up], ++bits;
+            c->length[i] = (unsigned char)bits;
+            if (bits > longest) longest = bits;
+            c->used[i] = (c->used[i] + 1) / 2;
+        }
+    } while (longest > most);
 }
 
-/* zlib stream: matches with the last place where the same 4 bytes stood */
+EX_STATIC void ex_codes_make(ex_codes *c, int most)
+{
+    uint32_t next = 0;
+    int bits, i;
+    ex_codes_lengths(c, most);
+    for (bits = 1; bits <= most; ++bits, next <<= 1)
+        for (i = 0; i < c->count; ++i)
+            if (c->length[i] == bits) c->code[i] = next++;
+}
+
+EX_STATIC void ex_symbol(ex_bytes *b, const ex_codes *c, uint32_t symbol)
+{
+    ex_code(b, c->code[symbol], c->length[symbol]);
+}
+
+typedef struct ex_token { /* a byte, or a match of length and distance */
+    uint16_t value, distance; /* distance 0: a byte */
+} ex_token;
+
+/* The codes' lengths, one by one, by codes of their own. */
+EX_STATIC void ex_block_head(ex_bytes *b, const ex_codes *literals, const ex_codes *distances, int last)
+{
+    static const unsigned char order[19] = {16, 17, 18, 0, 8, 7, 9, 6, 10, 5, 11, 4, 12, 3, 13, 2, 14, 1, 15};
+    ex_codes lengths;
+    int i;
+    memset(&lengths, 0, sizeof lengths);
+    lengths.count = 19;
+    for (i = 0; i < literals->count; ++i) ++lengths.used[literals->length[i]];
+    for (i = 0; i < distances->count; ++i) ++lengths.used[distances->length[i]];
+    ex_codes_make(&lengths, 7);
+    ex_bits(b, last ? 5 : 4, 3);
+    ex_bits(b, (uint32_t)literals->count - 257, 5);
+    ex_bits(b, (uint32_t)distances->count - 1, 5);
+    ex_bits(b, 15, 4);
+    for (i = 0; i < 19; ++i) ex_bits(b, lengths.length[order[i]], 3);
+    for (i = 0; i < literals->count; ++i) ex_symbol(b, &lengths, literals->length[i]);
+    for (i = 0; i < distances->count; ++i) ex_symbol(b, &lengths, distances->length[i]);
+}
+
+EX_STATIC void ex_block(ex_bytes *b, const ex_token *token, size_t count, int last)
+{
+    ex_codes literals, distances;
+    uint32_t extra, code;
+    int pass, bits;
+    size_t i;
+    memset(&literals, 0, sizeof literals);
+    memset(&distances, 0, sizeof distances);
+    literals.count = 286;
+    distances.count = 30;
+    literals.used[256] = 1;
+    for (pass = 0; pass < 2; ++pass) { /* 0: counts, 1: writes */
+        for (i = 0; i < count; ++i) {
+            if (!token[i].distance) {
+                if (pass)
+                    ex_symbol(b, &literals, token[i].value);
+                else
+                    ++literals.used[token[i].value];
+                continue;
+            }
+            code = 257 + ex_class(token[i].value - 3u, 4, &bits, &extra);
+            if (pass)
+                ex_symbol(b, &literals, code), ex_bits(b, extra, bits);
+            else
+                ++literals.used[code];
+            code = ex_class(token[i].distance - 1u, 2, &bits, &extra);
+            if (pass)
+                ex_symbol(b, &distances, code), ex_bits(b, extra, bits);
+            else
+                ++distances.used[code];
+        }
+        if (pass) break;
+        ex_codes_make(&literals, 15);
+        ex_codes_make(&distances, 15);
+        ex_block_head(b, &literals, &distances, last);
+    }
+    ex_symbol(b, &literals, 256);
+}
+
+EX_STATIC uint32_t ex_slot(const unsigned char *data)
+{
+    uint32_t four;
+    memcpy(&four, data, 4);
+    return (four * 2654435761u) >> 17;
+}
+
+/* zlib stream: the longest of the last matches whose first 4 bytes are the same */
 EX_STATIC void ex_deflate(ex_bytes *b, const unsigned char *data, size_t count)
 {
-    enum { SLOTS = 1 << 15, WINDOW = 32768, LONGEST = 257 }; /* 258 has a code of its own */
-    size_t *last = (size_t *)ex_new(SLOTS, sizeof *last);    /* place + 1 */
+    enum { SLOTS = 1 << 15, WINDOW = 32767, LONGEST = 257, BLOCK = 1 << 15, TRIES = 24 }; /* 258 has a code of its own */
+    uint32_t *last = (uint32_t *)ex_new(SLOTS, sizeof *last), *before = (uint32_t *)ex_new(count, sizeof *before);
+    ex_token *token = (ex_token *)ex_new(BLOCK, sizeof *token); /* last, before: place + 1 */
     uint32_t a = 1, c = 0;
-    size_t i, k;
+    size_t i, k, tokens = 0;
     ex_byte(b, 0x78);
     ex_byte(b, 0x01);
-    ex_bits(b, 3, 3); /* one last block, fixed codes */
     for (i = 0; i < count;) {
-        size_t length = 0, from = 0;
-        if (i + 4 <= count) {
-            uint32_t four, slot;
-            memcpy(&four, data + i, 4);
-            slot = (four * 2654435761u) >> 17;
-            from = last[slot];
-            last[slot] = i + 1;
-            if (from && i + 1 - from <= WINDOW)
-                while (length < LONGEST && i + length < count &&
-                       data[from - 1 + length] == data[i + length])
-                    ++length;
+        size_t length = 3, distance = 0;
+        uint32_t from = i + 4 <= count ? last[ex_slot(data + i)] : 0;
+        int tries;
+        for (tries = 0; from && i + 1 - from <= WINDOW && tries < TRIES; ++tries, from = before[from - 1]) {
+            for (k = 0; k < LONGEST && i + k < count && data[from - 1 + k] == data[i + k];) ++k;
+            if (k <= length) continue;
+            length = k;
+            distance = i + 1 - from;
         }
-        if (length >= 4)
-            ex_match(b, (uint32_t)length, (uint32_t)(i + 1 - from));
-        else
-            ex_literal(b, data[i]);
-        i += length >= 4 ? length : 1;
+        token[tokens].value = (uint16_t)(distance ? length : data[i]);
+        token[tokens++].distance = (uint16_t)distance;
+        for (k = i, i += distance ? length : 1; k < i && k + 4 <= count; ++k) {
+            before[k] = last[ex_slot(data + k)];
+            last[ex_slot(data + k)] = (uint32_t)k + 1;
+        }
+        if (tokens < BLOCK && i < count) continue;
+        ex_block(b, token, tokens, i >= count);
+        tokens = 0;
     }
-    ex_literal(b, 256);
     ex_bits(b, 0, 7);             /* fill the last byte */
     for (k = 0; k < count; ++k) { /* Adler-32 */
         a = (a + data[k]) % 65521;
         c = (c + a) % 65521;
     }
     ex_word(b, c << 16 | a);
+    free(token);
+    free(before);
     free(last);
 }
 
@@ -157,50 +262,159 @@ EX_STATIC void ex_chunk(FILE *f, const char *type, const ex_bytes *content)
     free(b.data);
 }
 
-/* of the two filters the one that leaves the smaller numbers */
+/* What a byte is expected to be, from those to the left, above, and above to the left: filters 1, 2, 4 (Paeth's). */
+EX_STATIC int ex_expected(int filter, int left, int up, int corner)
+{
+    const int p = left + up - corner, a = abs(p - left), b = abs(p - up), c = abs(p - corner);
+    if (filter < 4) return filter == 1 ? left : up;
+    return a <= b && a <= c ? left : b <= c ? up : corner;
+}
+
+/* by the filter that leaves the smallest numbers */
 EX_STATIC void ex_filter_row(unsigned char *out, const unsigned char *row,
                              const unsigned char *above, size_t bytes)
 {
-    long left_sum = 0, up_sum = 0;
+    static const int filter[4] = {1, 2, 4, 0};
+    long best = -1;
     size_t i;
-    for (i = 0; i < bytes; ++i) {
-        left_sum += abs((signed char)(row[i] - (i >= 3 ? row[i - 3] : 0)));
-        up_sum += abs((signed char)(row[i] - (above ? above[i] : 0)));
-    }
-    out[0] = up_sum <= left_sum ? 2 : 1;
-    for (i = 0; i < bytes; ++i) {
-        const int left = i >= 3 ? row[i - 3] : 0, up = above ? above[i] : 0;
-        out[i + 1] = (unsigned char)(row[i] - (out[0] == 2 ? up : left));
+    int k, chosen = 0;
+    for (k = 0; k < 4; ++k) { /* the last time around: written */
+        const int f = k < 3 ? filter[k] : chosen;
+        long sum = 0;
+        if (k == 3) out[0] = (unsigned char)f;
+        for (i = 0; i < bytes; ++i) {
+            const int left = i >= 3 ? row[i - 3] : 0, up = above ? above[i] : 0;
+            const int corner = i >= 3 && above ? above[i - 3] : 0;
+            const int d = row[i] - ex_expected(f, left, up, corner);
+            if (k == 3) out[i + 1] = (unsigned char)d;
+            sum += abs((signed char)d);
+        }
+        if (k < 3 && (best < 0 || sum < best)) {
+            best = sum;
+            chosen = f;
+        }
     }
 }
 
-EX_STATIC void ex_png_write(const char *path, int width, int height, const unsigned char *rgb)
+/* The file: rows of bytes, each after that of its filter; RGB, or numbers of colours if there is a palette. */
+EX_STATIC void ex_png_file(const char *path, int width, int height, const unsigned char *rows, size_t row_bytes,
+                           const unsigned char *palette, int colors)
 {
     static const unsigned char magic[8] = {0x89, 'P', 'N', 'G', '\r', '\n', 0x1a, '\n'};
-    static const unsigned char kind[5] = {8, 2, 0, 0, 0}; /* 8 bits, RGB */
-    const size_t bytes = 3 * (size_t)width;
-    unsigned char *rows = (unsigned char *)ex_new((size_t)height, bytes + 1);
+    const unsigned char kind[5] = {8, (unsigned char)(palette ? 3 : 2), 0, 0, 0}; /* 8 bits, RGB or palette */
     FILE *f = ex_open(path);
-    ex_bytes head, body, end;
-    size_t y;
+    ex_bytes head, table, body, end;
     int k;
     memset(&head, 0, sizeof head);
+    memset(&table, 0, sizeof table);
     memset(&body, 0, sizeof body);
     memset(&end, 0, sizeof end);
     ex_word(&head, (uint32_t)width);
     ex_word(&head, (uint32_t)height);
     for (k = 0; k < 5; ++k) ex_byte(&head, kind[k]);
-    for (y = 0; y < (size_t)height; ++y)
-        ex_filter_row(rows + y * (bytes + 1), rgb + y * bytes, y ? rgb + (y - 1) * bytes : NULL,
-                      bytes);
-    ex_deflate(&body, rows, (size_t)height * (bytes + 1));
+    for (k = 0; k < 3 * colors; ++k) ex_byte(&table, palette[k]);
+    ex_deflate(&body, rows, (size_t)height * (row_bytes + 1));
     fwrite(magic, 1, sizeof magic, f);
     ex_chunk(f, "IHDR", &head);
+    if (palette) ex_chunk(f, "PLTE", &table);
     ex_chunk(f, "IDAT", &body);
     ex_chunk(f, "IEND", &end);
     ex_close(f, path);
     free(head.data);
+    free(table.data);
     free(body.data);
+}
+
+EX_STATIC void ex_png_write(const char *path, int width, int height, const unsigned char *rgb)
+{
+    const size_t bytes = 3 * (size_t)width;
+    unsigned char *rows = (unsigned char *)ex_new((size_t)height, bytes + 1);
+    size_t y;
+    for (y = 0; y < (size_t)height; ++y)
+        ex_filter_row(rows + y * (bytes + 1), rgb + y * bytes, y ? rgb + (y - 1) * bytes : NULL,
+                      bytes);
+    ex_png_file(path, width, height, rows, bytes, NULL, 0);
+    free(rows);
+}
+
+/* A palette: pixels sorted into 256 boxes. That with the largest squared distances from its mean is parted there, again
+ * and again [Heckbert 1982]. */
+typedef struct ex_box {
+    size_t first, count; /* of the pixels' numbers */
+    double mean[3], spread[3];
+} ex_box;
+
+EX_STATIC void ex_box_measure(ex_box *box, const unsigned char *rgb, const uint32_t *pixel)
+{
+    double sum[3] = {0, 0, 0}, square[3] = {0, 0, 0};
+    size_t i;
+    int k;
+    for (i = box->first; i < box->first + box->count; ++i)
+        for (k = 0; k < 3; ++k) {
+            const double v = rgb[3 * (size_t)pixel[i] + (size_t)k];
+            sum[k] += v;
+            square[k] += v * v;
+        }
+    for (k = 0; k < 3; ++k) {
+        box->mean[k] = sum[k] / (double)box->count;
+        box->spread[k] = square[k] - sum[k] * box->mean[k];
+    }
+}
+
+EX_STATIC ex_box ex_box_part(ex_box *box, const unsigned char *rgb, uint32_t *pixel)
+{
+    const int axis = box->spread[0] > box->spread[1] ? box->spread[0] > box->spread[2] ? 0 : 2
+                     : box->spread[1] > box->spread[2] ? 1 : 2;
+    size_t i = box->first, end = box->first + box->count;
+    ex_box other = *box;
+    while (i < end) {
+        const uint32_t at = pixel[i];
+        if (rgb[3 * (size_t)at + (size_t)axis] <= box->mean[axis]) {
+            ++i;
+            continue;
+        }
+        pixel[i] = pixel[--end];
+        pixel[end] = at;
+    }
+    other.first = i;
+    other.count = box->first + box->count - i;
+    box->count = i - box->first;
+    ex_box_measure(box, rgb, pixel);
+    ex_box_measure(&other, rgb, pixel);
+    return other;
+}
+
+/* In 256 colours: a third of the size, for pictures of few hues. */
+EX_STATIC void ex_png_write_small(const char *path, int width, int height, const unsigned char *rgb)
+{
+    const size_t pixels = (size_t)width * (size_t)height;
+    uint32_t *pixel = (uint32_t *)ex_new(pixels, sizeof *pixel);
+    unsigned char *rows = (unsigned char *)ex_new((size_t)height, (size_t)width + 1), palette[3 * 256];
+    ex_box box[256];
+    int boxes = 1, k, c;
+    size_t i;
+    for (i = 0; i < pixels; ++i) pixel[i] = (uint32_t)i;
+    box[0].first = 0;
+    box[0].count = pixels;
+    ex_box_measure(box, rgb, pixel);
+    while (boxes < 256) {
+        double most = 0.5;
+        int widest = -1;
+        for (k = 0; k < boxes; ++k) {
+            const double s = fmax(box[k].spread[0], fmax(box[k].spread[1], box[k].spread[2]));
+            if (s > most) most = s, widest = k;
+        }
+        if (widest < 0) break; /* every box has one colour */
+        box[boxes] = ex_box_part(&box[widest], rgb, pixel);
+        ++boxes;
+    }
+    for (k = 0; k < boxes; ++k) {
+        for (c = 0; c < 3; ++c) palette[3 * k + c] = (unsigned char)(box[k].mean[c] + 0.5);
+        for (i = box[k].first; i < box[k].first + box[k].count; ++i)
+            rows[pixel[i] + pixel[i] / (uint32_t)width + 1] = (unsigned char)k;
+    }
+    ex_png_file(path, width, height, rows, (size_t)width, palette, boxes);
+    free(pixel);
     free(rows);
 }
 
@@ -339,6 +553,7 @@ typedef struct ex_picture {
     int up;        /* the axis that points up: 2 */
     double ground; /* its height along that axis; NAN: no ground */
     int bar;       /* 1 leaves room for a colour scale; set it before the first view */
+    double sky[6]; /* sRGB behind everything, at the top and at the bottom; set it before the view */
     /* the view being drawn, in samples */
     int left, top, columns, rows;
     float *color;        /* [rows][columns][3], linear */
@@ -418,7 +633,9 @@ EX_STATIC void ex_color_map(double t, double *rgb)
 
 EX_STATIC ex_picture *ex_picture_new(int width, int height)
 {
+    static const double sky[6] = {0.985, 0.99, 1.0, 0.90, 0.92, 0.945};
     ex_picture *p = (ex_picture *)ex_new(1, sizeof *p);
+    memcpy(p->sky, sky, sizeof sky);
     p->width = width;
     p->height = height;
     p->rgb = (unsigned char *)ex_new((size_t)width * (size_t)height, 3);
@@ -502,10 +719,11 @@ EX_STATIC void ex_background(ex_picture *p)
     int x, y, k;
     for (y = 0; y < p->rows; ++y) {
         const double t = (double)y / p->rows;
-        const double rgb[3] = {0.985 - 0.085 * t, 0.99 - 0.07 * t, 1.0 - 0.055 * t};
         for (x = 0; x < p->columns; ++x)
-            for (k = 0; k < 3; ++k)
-                p->color[3 * (y * p->columns + x) + k] = (float)(rgb[k] * rgb[k]);
+            for (k = 0; k < 3; ++k) {
+                const double s = p->sky[k] + t * (p->sky[3 + k] - p->sky[k]);
+                p->color[3 * (y * p->columns + x) + k] = (float)(s * s);
+            }
     }
 }
 
@@ -919,6 +1137,11 @@ EX_STATIC void ex_colorbar(ex_picture *p, const char *label, double low, double 
 EX_STATIC void ex_picture_write(const ex_picture *p, const char *path)
 {
     ex_png_write(path, p->width, p->height, p->rgb);
+}
+
+EX_STATIC void ex_picture_write_small(const ex_picture *p, const char *path) /* in 256 colours */
+{
+    ex_png_write_small(path, p->width, p->height, p->rgb);
 }
 
 #endif

@@ -16,8 +16,16 @@ enum { FRAMES = 6, MAX_LOADS = 16 };
 
 static const ex_option table[] = {
     {"MESH", "FILE", NULL,
-     "Gmsh .msh, VTK legacy .vtk, Medit .mesh, Vega .veg or TetGen .node; without it a bar of 1 x "
-     "0.2 x 0.2 m"},
+     "tets: Gmsh .msh, VTK .vtk and .vtu, Medit .mesh and .meshb, Abaqus .inp, Vega .veg, TetGen .node; with --tets "
+     "a surface: .obj, .stl, .ply, .off or the triangles of one of those; without it a bar of 1 x 0.2 x 0.2 m"},
+    {"--surface", "FILE", NULL,
+     "a .obj, .stl, .ply or .off that moves with the body and is drawn in its place; it is cut where "
+     "the body breaks"},
+    {"--tets", "N", "5000", "fill the surface in the file with so many tets; only if this or the next is given"},
+    {"--cage", NULL, NULL, "fill it with whole tets of a lattice that contain the surface, filled in part"},
+    {"--linear", NULL, NULL, "10-node tets of the file become 4-node ones"},
+    {"--weld", "D", NULL, "nodes at most D apart become one, m; 0: exactly at one place"},
+    {"--info", NULL, NULL, "tell all about the mesh, its sets and regions, and stop"},
     {"--cells", "NX,NY,NZ", "20,4,4", "cells of the bar, five tets each"},
     {"--material", "linear|corotational|stvk|neohookean", "corotational",
      "the law of the material"},
@@ -25,7 +33,8 @@ static const ex_option table[] = {
      "linear tets lock in bending and as nu nears 0.5, smooth ones do not"},
     {"--young", "E", "1.5e5", "Young's modulus, Pa"},
     {"--poisson", "NU", "0.3", "Poisson's ratio"},
-    {"--density", "RHO", "1000", "kg/m^3"},
+    {"--density", "RHO", "1000", "kg/m^3; the three are of all tets, else the file's constants, where it has them"},
+    {"--region", "NAME:E,NU,RHO", NULL, "those of one region of the file; repeatable"},
     {"--mass", "lumped|consistent", "lumped", "the mass matrix"},
     {"--rayleigh", "A0,A1", "0,0.002", "damping A0 M + A1 K: 1/s, s"},
     {"--integrator", "pqr|newmark|central|kr|gui|chang|be|hht|genalpha|bathe|modal", "pqr",
@@ -60,8 +69,13 @@ static const ex_option table[] = {
     {"--velocity", "V", NULL,
      "at the start: 'X,Y,Z', 'spin:WX,WY,WZ' or 'random:SPEED,SEED'; repeatable"},
     {"--fix", "WHERE", NULL,
-     "nodes held, as 'x<0.01', the default for the bar, or 'none'; repeatable"},
-    {"--load", "WHERE:X,Y,Z", NULL, "newtons in all, shared evenly by those nodes; repeatable"},
+     "nodes held, as 'x<0.01', the default for the bar, as 'set:NAME', a set or region of the file, or 'none'; "
+     "repeatable"},
+    {"--load", "WHERE:X,Y,Z", NULL, "newtons in all, shared evenly by those nodes, also 'set:NAME:X,Y,Z'; repeatable"},
+    {"--grab", "X,Y,Z,RADIUS", NULL,
+     "a handle takes hold of the surface there (at the place at rest)"},
+    {"--pull", "VX,VY,VZ", "0.2,0,0", "and moves, m/s"},
+    {"--grip", "F", "0", "with this force at most, N; 0: without limit"},
     {"--probe", "NODE", "-1", "print this node's displacement; the plot follows it"},
     {"--threads", "N", "1", "threads"},
     {"--out", "DIR", "build/simulate", "where files go"},
@@ -70,9 +84,18 @@ static const ex_option table[] = {
     {"--quick", NULL, NULL, "a small run: fewer steps"},
     {NULL, NULL, NULL, NULL}};
 
+typedef struct look { /* the --surface in a frame: outer triangles, then inner ones */
+    double *x;
+    int32_t *tri;
+    sfem_int nodes, outer, inner;
+} look;
+
 typedef struct run {
     ex_options o;
     sfem_mesh mesh;
+    sfem_mesh_sets sets;
+    sfem_mesh_read_info read;
+    sfem_mesher_info mesher; /* of --tets */
     sfem_surface surface;
     sfem_model *model;
     sfem_body *body;
@@ -81,8 +104,9 @@ typedef struct run {
     sfem_reduced *reduced;
     sfem_reduced_view *view;
     sfem_modal *modal;
-    double *u, *load; /* [nodes][3] of modal: displacement; loads without gravity */
-    sfem_int probe, steps;
+    double *u, *load;               /* [nodes][3] of modal: displacement; loads without gravity */
+    sfem_int probe, steps, hand;    /* -1: none */
+    double held[3];                 /* where it took hold */
     double h, setup, stepping;      /* seconds */
     double *time, *tip, *energy[3]; /* [steps + 1] */
     double *frame[FRAMES];          /* positions to draw */
@@ -90,6 +114,9 @@ typedef struct run {
     int breaks;
     int32_t *whole[FRAMES]; /* surface triangles that were whole then */
     sfem_int wholes[FRAMES];
+    sfem_surface render;
+    sfem_embed *embed;
+    look look[FRAMES];
     int frames;
 } run;
 
@@ -99,56 +126,266 @@ static void must(sfem_status status, const sfem_error *err)
 }
 
 /* 1. The mesh, and what is to be known about it. */
+static void show_progress(sfem_real part, void *user)
+{
+    (void)user;
+    ex_progress("tets", (long)(1000 * part), 1000);
+}
+
+static void fill_surface(run *r, const char *path)
+{
+    sfem_mesher_def def = sfem_default_mesher_def();
+    sfem_surface s;
+    sfem_error err;
+    must(sfem_surface_read(path, NULL, &s, &err), &err);
+    def.mode = ex_given(&r->o, "--cage") ? SFEM_CAGE : SFEM_FITTED;
+    def.tets = (sfem_int)ex_integer(&r->o, "--tets");
+    def.exec.threads = (sfem_int)ex_integer(&r->o, "--threads");
+    def.progress = show_progress;
+    show_progress(0, NULL); /* the clock starts */
+    must(sfem_mesh_from_surface(&def, &s, &r->mesh, &r->mesher, &err), &err);
+    sfem_surface_free(&s);
+}
+
+/* A file that has only triangles: how to make tets of them. */
+__attribute__((noreturn)) static void refuse_mesh(const char *path, const sfem_error *err)
+{
+    sfem_surface s;
+    if (strstr(err->text, "'linear'")) ex_fail("%s: here --linear", err->text);
+    if (sfem_surface_read(path, NULL, &s, NULL) == SFEM_OK)
+        ex_fail("%s: this file has %ld triangles and no tets; --tets 5000 makes some", path, (long)s.triangles);
+    ex_fail("%s", err->text);
+}
+
+static void read_file(run *r, const char *path)
+{
+    sfem_mesh_read_def def = sfem_default_mesh_read_def();
+    sfem_error err;
+    def.linear = ex_given(&r->o, "--linear");
+    def.weld = ex_given(&r->o, "--weld");
+    if (def.weld) def.weld_distance = ex_real(&r->o, "--weld");
+    if (sfem_mesh_read_sets(path, &def, &r->mesh, &r->sets, &r->read, &err) == SFEM_OK) return;
+    if (err.status == SFEM_BAD_MESH || err.status == SFEM_FORMAT) refuse_mesh(path, &err);
+    ex_fail("%s", err.text);
+}
+
+static void make_bar(run *r)
+{
+    const sfem_real size[3] = {1, 0.2, 0.2};
+    double cells[3];
+    sfem_int n[3];
+    sfem_error err;
+    int k;
+    ex_reals(&r->o, "--cells", 3, cells);
+    for (k = 0; k < 3; ++k) n[k] = (sfem_int)cells[k];
+    must(sfem_mesh_block(n, size, SFEM_CELL_5_TETS, NULL, &r->mesh, &err), &err);
+}
+
+static void print_sets(const sfem_mesh_sets *s)
+{
+    sfem_int i;
+    for (i = 0; i < s->regions; ++i) {
+        const sfem_region *g = s->region + i;
+        printf("region '%s': number %ld, %ld tets", g->name, (long)g->number, (long)g->tets);
+        if (g->material[0]) printf(", material '%s'", g->material);
+        if (g->has_elastic) printf(", E %g Pa, nu %g", g->young, g->poisson);
+        if (g->has_density) printf(", %g kg/m^3", g->density);
+        printf("\n");
+    }
+    for (i = 0; i < s->sets; ++i)
+        printf("set '%s': %ld %s\n", s->set[i].name, (long)s->set[i].count, s->set[i].of_tets ? "tets" : "nodes");
+}
+
+static void print_info(const run *r, const sfem_mesh_report *m)
+{
+    const sfem_mesher_info *s = &r->mesher;
+    printf("box: %g to %g, %g to %g, %g to %g m\n", m->box[0][0], m->box[1][0], m->box[0][1], m->box[1][1], m->box[0][2],
+           m->box[1][2]);
+    printf("surface: %ld triangles, %ld edges, %ld nodes, Euler characteristic %ld\n", (long)m->surface_triangles,
+           (long)m->surface_edges, (long)m->surface_nodes, (long)m->euler);
+    printf("quality: %.3f to 1, mean %.3f, worst in tet %ld; edges %.3g to %.3g m\n", m->min_quality, m->mean_quality,
+           (long)m->worst_tet, m->min_edge, m->max_edge);
+    printf("components: %ld; faces with two tets on one side: %ld\n", (long)m->components, (long)m->overlapping);
+    printf("mended: %ld left-handed tets, %ld 10-node tets made linear, %ld nodes welded\n", (long)r->read.swapped,
+           (long)r->read.linear, (long)r->read.welded);
+    printf("left out: %ld volume cells that are no tets, %ld nodes of 10-node tets\n", (long)r->read.others,
+           (long)r->read.removed);
+    if (s->size > 0)
+        printf("the surface: %ld triangles without area and %ld doubled ones left out, %ld reversed, %ld open edges\n",
+               (long)s->degenerate, (long)s->doubled, (long)s->flipped, (long)s->open_edges);
+    print_sets(&r->sets);
+}
+
 static void read_mesh(run *r)
 {
     const char *path = ex_text(&r->o, "MESH");
     sfem_mesh_report report;
+    sfem_status status;
     sfem_error err;
-    if (path) {
-        must(sfem_mesh_read(path, NULL, &r->mesh, &err), &err);
-    } else {
-        const sfem_real size[3] = {1, 0.2, 0.2};
-        double cells[3];
-        sfem_int n[3];
-        int k;
-        ex_reals(&r->o, "--cells", 3, cells);
-        for (k = 0; k < 3; ++k) n[k] = (sfem_int)cells[k];
-        must(sfem_mesh_block(n, size, SFEM_CELL_5_TETS, NULL, &r->mesh, &err), &err);
-    }
-    must(sfem_mesh_check(&r->mesh, &report, &err), &err);
-    must(sfem_mesh_surface(&r->mesh, NULL, &r->surface, &err), &err);
+    if (!path)
+        make_bar(r);
+    else if (ex_given(&r->o, "--tets") || ex_given(&r->o, "--cage"))
+        fill_surface(r, path);
+    else
+        read_file(r, path);
+    status = sfem_mesh_check(&r->mesh, &report, &err);
+    if (status == SFEM_OUT_OF_MEMORY || status == SFEM_TOO_LARGE) ex_fail("%s", err.text);
     printf("mesh: %d nodes, %d tets, volume %.4g m^3, worst quality %.2f, %d piece%s\n",
            (int)r->mesh.nodes, (int)r->mesh.tets, report.volume, report.min_quality,
            (int)report.components, report.components == 1 ? "" : "s");
     if (report.unused > 0)
         printf("      %d nodes in no tet stay where they are\n", (int)report.unused);
+    if (report.seam > 0)
+        printf("warning: duplicate nodes split the body along %ld faces: %ld components instead of %ld; --weld 0 joins them\n",
+               (long)report.seam / 2, (long)report.components, (long)report.welded_components);
+    if (ex_given(&r->o, "--info")) {
+        print_info(r, &report);
+        if (status != SFEM_OK) printf("it cannot be used: %s\n", err.text);
+        exit(status != SFEM_OK);
+    }
+    must(status, &err);
+    must(sfem_mesh_surface(&r->mesh, NULL, &r->surface, &err), &err);
+}
+
+/* A name that is not there: tells those that are. */
+__attribute__((noreturn)) static void refuse_name(const run *r, const char *option, const char *name, int sets)
+{
+    sfem_int i;
+    fflush(stdout); /* which a pipe keeps longer */
+    fprintf(stderr, "%s: there is no %s '%s' in this mesh. Regions:", option, sets ? "set" : "region", name);
+    for (i = 0; i < r->sets.regions; ++i) fprintf(stderr, " '%s'", r->sets.region[i].name);
+    if (!r->sets.regions) fprintf(stderr, " none");
+    if (sets) fprintf(stderr, ". Sets:");
+    for (i = 0; sets && i < r->sets.sets; ++i) fprintf(stderr, " '%s'", r->sets.set[i].name);
+    ex_fail(sets && !r->sets.sets ? " none" : "");
+}
+
+/* The surface that is drawn: each of its points goes with a tet. */
+static void read_surface(run *r)
+{
+    const char *path = ex_text(&r->o, "--surface");
+    sfem_embed_def def = sfem_default_embed_def();
+    sfem_embed_info info;
+    sfem_error err;
+    if (!path) return;
+    must(sfem_surface_read(path, NULL, &r->render, &err), &err);
+    def.points = r->render.nodes;
+    def.x = r->render.x;
+    def.triangles = r->render.triangles;
+    def.tri = r->render.tri;
+    must(sfem_embed_create(&r->mesh, &def, &r->embed, &err), &err);
+    info = sfem_embed_get_info(r->embed);
+    printf("surface: %d points, %d triangles, %d points outside, up to %.3g m\n", (int)info.points,
+           (int)info.triangles, (int)info.outside, info.distance);
 }
 
 /* 2. Material and mass: K, M, D. */
+static sfem_material material_of_all(const run *r)
+{
+    sfem_material m = sfem_default_material();
+    double rayleigh[2];
+    ex_reals(&r->o, "--rayleigh", 2, rayleigh);
+    m.young = ex_real(&r->o, "--young");
+    m.poisson = ex_real(&r->o, "--poisson");
+    m.density = ex_real(&r->o, "--density");
+    m.mass_damping = rayleigh[0];
+    m.stiffness_damping = rayleigh[1];
+    m.law = (sfem_law)ex_choice(&r->o, "--material"); /* in the order of the enumeration */
+    m.tet = (sfem_tet)ex_choice(&r->o, "--tet");      /* likewise */
+    return m;
+}
+
+/* One material for each region: the file's constants unless an option gives them, then those of --region. */
+static void region_materials(const run *r, const sfem_material *all, sfem_material *material)
+{
+    const int given = ex_given(&r->o, "--young") + ex_given(&r->o, "--poisson");
+    sfem_int i;
+    int k;
+    for (i = 0; i < r->sets.regions; ++i) {
+        const sfem_region *g = r->sets.region + i;
+        material[i] = *all;
+        if (g->has_elastic && !given) material[i].young = g->young, material[i].poisson = g->poisson;
+        if (g->has_density && !ex_given(&r->o, "--density")) material[i].density = g->density;
+    }
+    for (k = 0; k < ex_given(&r->o, "--region"); ++k) {
+        const char *text = ex_nth(&r->o, "--region", k), *colon = strrchr(text, ':');
+        const sfem_region *g;
+        double number[3];
+        char name[256];
+        if (!colon || colon - text >= (long)sizeof name) ex_fail("--region %s: no NAME:E,NU,RHO", text);
+        memcpy(name, text, (size_t)(colon - text));
+        name[colon - text] = 0;
+        g = sfem_mesh_sets_region(&r->sets, name);
+        if (!g) refuse_name(r, "--region", name, 0);
+        ex_numbers("--region", colon + 1, 3, number);
+        i = (sfem_int)(g - r->sets.region);
+        material[i].young = number[0], material[i].poisson = number[1], material[i].density = number[2];
+    }
+    for (i = 0; i < r->sets.regions; ++i)
+        if (r->sets.regions <= 8 || material[i].young != material[0].young)
+            printf("region '%s': %ld tets, E %g Pa, nu %g, %g kg/m^3\n", r->sets.region[i].name, (long)r->sets.region[i].tets,
+                   material[i].young, material[i].poisson, material[i].density);
+}
+
 static void make_model(run *r)
 {
     sfem_model_def def = sfem_default_model_def();
-    double rayleigh[2];
+    const size_t regions = (size_t)r->sets.regions;
+    sfem_material *material = (sfem_material *)ex_new(regions + SFEM_CAGE_LEVELS + 1, sizeof *material);
+    sfem_int *index = (sfem_int *)ex_new((size_t)r->mesh.tets, sizeof *index), t, i;
     sfem_error err;
-    ex_reals(&r->o, "--rayleigh", 2, rayleigh);
     def.mesh = &r->mesh;
-    def.material.young = ex_real(&r->o, "--young");
-    def.material.poisson = ex_real(&r->o, "--poisson");
-    def.material.density = ex_real(&r->o, "--density");
-    def.material.mass_damping = rayleigh[0];
-    def.material.stiffness_damping = rayleigh[1];
-    def.material.law =
-        (sfem_law)ex_choice(&r->o, "--material"); /* in the order of the enumeration */
-    def.material.tet = (sfem_tet)ex_choice(&r->o, "--tet"); /* likewise */
+    def.material = material_of_all(r);
     def.mass = ex_choice(&r->o, "--mass") ? SFEM_MASS_CONSISTENT : SFEM_MASS_LUMPED;
+    if (r->mesher.size > 0 && ex_given(&r->o, "--cage")) {
+        must(sfem_cage_materials(&def.material, 0.05, material, &err), &err);
+        def.materials = material;
+        def.material_count = SFEM_CAGE_LEVELS + 1;
+    } else if (regions > 0 || ex_given(&r->o, "--region")) {
+        region_materials(r, &def.material, material);
+        for (t = i = 0; t < r->mesh.tets; ++t) {
+            if (r->sets.region[i].number != r->mesh.region[t])
+                for (i = 0; r->sets.region[i].number != r->mesh.region[t];) ++i;
+            index[t] = i;
+        }
+        def.materials = material;
+        def.material_count = r->sets.regions;
+        def.tet_material = index;
+    }
     must(sfem_model_create(&def, &r->model, &err), &err);
+    free(index);
+    free(material);
 }
 
-static sfem_int select_nodes(const run *r, const ex_selection *where, sfem_int *list)
+/* Which nodes a selection or 'set:NAME' names: a set, the nodes of a set of tets, or those of a region. */
+static sfem_int select_nodes(const run *r, const char *option, const char *text, sfem_int *list)
 {
-    sfem_int i, count = 0;
+    const char *name = text + 4;
+    unsigned char *in;
+    ex_selection where;
+    const sfem_set *nodes, *tets;
+    const sfem_region *region;
+    sfem_int i, t, count = 0;
+    int k;
+    in = (unsigned char *)ex_new((size_t)r->mesh.nodes, 1);
+    if (strncmp(text, "set:", 4) != 0) {
+        where = ex_selection_of(text);
+        for (i = 0; i < r->mesh.nodes; ++i) in[i] = (unsigned char)ex_selected(&where, i, r->mesh.x + 3 * (size_t)i);
+    } else {
+        nodes = sfem_mesh_sets_find(&r->sets, name, 0);
+        tets = sfem_mesh_sets_find(&r->sets, name, 1);
+        region = sfem_mesh_sets_region(&r->sets, name);
+        if (!nodes && !tets && !region) refuse_name(r, option, name, 1);
+        for (i = 0; nodes && i < nodes->count; ++i) in[nodes->member[i]] = 1;
+        for (i = 0; !nodes && tets && i < tets->count; ++i)
+            for (k = 0; k < 4; ++k) in[r->mesh.tet[4 * (size_t)tets->member[i] + (size_t)k]] = 1;
+        for (t = 0; !nodes && !tets && t < r->mesh.tets; ++t)
+            for (k = 0; k < 4 && r->mesh.region[t] == region->number; ++k) in[r->mesh.tet[4 * (size_t)t + (size_t)k]] = 1;
+    }
     for (i = 0; i < r->mesh.nodes; ++i)
-        if (ex_selected(where, i, r->mesh.x + 3 * (size_t)i)) list[count++] = i;
+        if (in[i]) list[count++] = i;
+    free(in);
+    if (count == 0) ex_fail("%s %s selects no node", option, text);
     return count;
 }
 
@@ -175,6 +412,7 @@ static void make_modal(run *r, const sfem_body_def *body)
     modal.warp = (sfem_warp)ex_choice(&r->o, "--warp"); /* in the order of the enumeration */
     memcpy(modal.gravity, body->gravity, sizeof modal.gravity);
     modal.exec = body->exec;
+    modal.max_handle_nodes = r->mesh.nodes;
     must(sfem_modal_create(r->reduced, &modal, &r->modal, &err), &err);
     r->u = (double *)ex_new(6 * (size_t)r->mesh.nodes, sizeof *r->u);
     r->load = r->u + 3 * (size_t)r->mesh.nodes;
@@ -202,11 +440,8 @@ static void make_body(run *r)
     sfem_int i, k, count;
     sfem_error err;
     for (k = 0; k < (given || ex_text(&r->o, "MESH") ? given : 1); ++k) {
-        ex_selection where;
         if (given && !strcmp(ex_nth(&r->o, "--fix", k), "none")) continue;
-        where = ex_selection_of(given ? ex_nth(&r->o, "--fix", k) : "x<0.01");
-        count = select_nodes(r, &where, pins);
-        if (count == 0) ex_fail("--fix %s selects no node", ex_nth(&r->o, "--fix", k));
+        count = select_nodes(r, "--fix", given ? ex_nth(&r->o, "--fix", k) : "x<0.01", pins);
         for (i = 0; i < count; ++i) held[pins[i]] = 1;
     }
     for (i = count = 0; i < r->mesh.nodes; ++i)
@@ -231,6 +466,8 @@ static void make_body(run *r)
     def.exec.threads = (sfem_int)ex_integer(&r->o, "--threads");
     def.pins = pins;
     def.pin_count = count;
+    def.max_handle_nodes = r->mesh.nodes;
+    def.handle_max_force = ex_real(&r->o, "--grip");
     r->breaks = ex_given(&r->o, "--fracture") || ex_given(&r->o, "--strength");
     if (r->breaks) {
         damage.law = ex_choice(&r->o, "--damage") ? SFEM_DAMAGE_CONDENSED : SFEM_DAMAGE_ZSZ;
@@ -254,15 +491,20 @@ static void add_loads(run *r)
     sfem_int i, k, c, count;
     sfem_error err;
     for (k = 0; k < ex_given(&r->o, "--load"); ++k) {
-        const ex_load load = ex_load_of(ex_nth(&r->o, "--load", k));
+        const char *text = ex_nth(&r->o, "--load", k), *colon = strrchr(text, ':');
+        char where[256];
+        double force[3];
         sfem_real f[3];
-        count = select_nodes(r, &load.where, nodes);
-        if (count == 0) ex_fail("--load %s selects no node", ex_nth(&r->o, "--load", k));
-        for (c = 0; c < 3; ++c) f[c] = load.force[c] / count;
+        if (!colon || colon - text >= (long)sizeof where) ex_fail("'%s': no ':FX,FY,FZ' after the selection", text);
+        memcpy(where, text, (size_t)(colon - text));
+        where[colon - text] = 0;
+        ex_numbers("--load", colon + 1, 3, force);
+        count = select_nodes(r, "--load", where, nodes);
+        for (c = 0; c < 3; ++c) f[c] = force[c] / count;
         for (i = 0; i < count; ++i)
-            must(sfem_body_add_node_force(r->body, nodes[i], f, &err), &err);
+            must(sfem_body_add_lasting_force(r->body, nodes[i], f, &err), &err);
         for (i = 0; i < count && r->modal; ++i) {
-            must(sfem_modal_add_node_force(r->modal, nodes[i], f, &err), &err);
+            must(sfem_modal_add_lasting_force(r->modal, nodes[i], f, &err), &err);
             for (c = 0; c < 3; ++c) r->load[3 * (size_t)nodes[i] + (size_t)c] += f[c];
         }
     }
@@ -345,6 +587,57 @@ static void set_velocity(run *r)
     free(v);
 }
 
+/* A hand: the nodes of a patch of the surface, by smooth weights. */
+static void take_hold(run *r)
+{
+    sfem_int *node, count, k;
+    double *weight, where[4], most = 0;
+    sfem_patch patch;
+    sfem_error err;
+    r->hand = -1;
+    if (!ex_given(&r->o, "--grab")) return;
+    node = (sfem_int *)ex_new((size_t)r->mesh.nodes, sizeof *node);
+    weight = (double *)ex_new((size_t)r->mesh.nodes, sizeof *weight);
+    ex_reals(&r->o, "--grab", 4, where);
+    memset(&patch, 0, sizeof patch);
+    memcpy(patch.point, where, sizeof patch.point);
+    patch.radius = where[3];
+    patch.surface = &r->surface;
+    must(sfem_mesh_near(&r->mesh, &patch, r->mesh.nodes, node, weight, &count, &err), &err);
+    if (r->modal) {
+        must(sfem_modal_grab_region(r->modal, count, node, weight, &r->hand, &err), &err);
+        sfem_modal_handle_position(r->modal, r->hand, r->held);
+    } else {
+        must(sfem_body_grab_region(r->body, count, node, weight, &r->hand, &err), &err);
+        sfem_body_handle_position(r->body, r->hand, r->held);
+    }
+    for (k = 0; k < count; ++k) most = fmax(most, weight[k]);
+    if (hypot(hypot(r->held[0] - where[0], r->held[1] - where[1]), r->held[2] - where[2]) > where[3]) {
+        fflush(stdout);
+        fprintf(stderr, "--grab: there is no surface within %g m of %g,%g,%g\n", where[3], where[0], where[1], where[2]);
+        exit(1);
+    }
+    printf("handle: %d nodes about %.3g %.3g %.3g m, each with at most %.2g of its force\n",
+           (int)count, r->held[0], r->held[1], r->held[2], most);
+    free(node);
+    free(weight);
+}
+
+/* Where the hand is to be at the end of the next step. */
+static void move_hand(run *r, double time)
+{
+    double v[3], x[3];
+    sfem_error err;
+    int c;
+    if (r->hand < 0) return;
+    ex_reals(&r->o, "--pull", 3, v);
+    for (c = 0; c < 3; ++c) x[c] = r->held[c] + time * v[c];
+    if (r->modal)
+        must(sfem_modal_move_handle(r->modal, r->hand, x, &err), &err);
+    else
+        must(sfem_body_move_handle(r->body, r->hand, x, &err), &err);
+}
+
 static double length3(const double *a) { return sqrt(a[0] * a[0] + a[1] * a[1] + a[2] * a[2]); }
 
 static double largest_displacement(const run *r)
@@ -419,6 +712,7 @@ static void rest(run *r)
 static void step(run *r)
 {
     sfem_error err;
+    move_hand(r, when_is_it(r) + r->h);
     if (!r->modal) {
         must(sfem_body_step(r->body, r->h, &err), &err);
         return;
@@ -441,6 +735,31 @@ static void keep_whole(run *r, int k)
     }
 }
 
+static void keep_look(run *r, look *out)
+{
+    sfem_embed_pieces pieces;
+    sfem_error err;
+    const sfem_int *tri = r->render.tri;
+    memset(&pieces, 0, sizeof pieces);
+    out->nodes = r->render.nodes;
+    out->outer = r->render.triangles;
+    if (r->breaks) {
+        must(sfem_embed_break(r->embed, r->body, NULL, &pieces, &err), &err);
+        tri = pieces.tri;
+        out->nodes = pieces.vertices;
+        out->outer = pieces.triangles - pieces.inner;
+        out->inner = pieces.inner;
+    }
+    out->x = (double *)ex_new(3 * (size_t)out->nodes, sizeof *out->x);
+    out->tri = (int32_t *)ex_new(3 * (size_t)(out->outer + out->inner), sizeof *out->tri);
+    memcpy(out->tri, tri, 3 * (size_t)(out->outer + out->inner) * sizeof *tri);
+    if (r->breaks)
+        sfem_embed_pieces_positions(r->embed, &pieces, r->body, out->x, NULL);
+    else
+        sfem_embed_positions(r->embed, displacement(r), out->x, NULL);
+    sfem_embed_pieces_free(&pieces);
+}
+
 static void record(run *r, sfem_int step)
 {
     const sfem_energy e = energy(r);
@@ -453,6 +772,7 @@ static void record(run *r, sfem_int step)
         r->frame[r->frames] = (double *)ex_new(3 * (size_t)r->mesh.nodes, sizeof(double));
         r->frame_time[r->frames] = r->time[step];
         if (r->breaks) keep_whole(r, r->frames);
+        if (r->embed) keep_look(r, r->look + r->frames);
         positions(r, r->frame[r->frames++]);
     }
 }
@@ -509,11 +829,24 @@ static void simulate(run *r)
         ex_progress("simulate", i, r->steps);
     }
     if (files)
-        must(sfem_mesh_write_pvd(ex_path(ex_text(&r->o, "--out"), "steps.pvd"), file, when, files, &err),
+        must(sfem_mesh_write_pvd(ex_path(ex_text(&r->o, "--out"), "steps.pvd"), file, when, files,
+                                 &err),
              &err);
     free(when);
     free(file);
     free(name);
+}
+
+static void draw_look(ex_picture *p, const look *l)
+{
+    ex_style style = ex_default_style();
+    style.edges = 0;
+    ex_view_surface(p, l->nodes, l->x, l->outer, l->tri, NULL, &style);
+    style.color[0] = 0.85; /* inner faces: as they are, in another colour */
+    style.color[1] = 0.62;
+    style.color[2] = 0.42;
+    style.flat = 1;
+    ex_view_surface(p, l->nodes, l->x, l->inner, l->tri + 3 * (size_t)l->outer, NULL, &style);
 }
 
 static void draw(const run *r)
@@ -525,9 +858,10 @@ static void draw(const run *r)
     double lower[3], upper[3], low, high;
     double *value[FRAMES];
     int k;
-    p->bar = !r->breaks;
+    p->bar = !r->breaks && !r->embed;
     for (k = 0; k < r->frames; ++k) {
         ex_bounds(r->frame[k], r->mesh.nodes, k == 0, lower, upper);
+        if (r->embed) ex_bounds(r->look[k].x, r->look[k].nodes, 0, lower, upper);
         value[k] = ex_node_stress(r->model, &r->mesh, r->frame[k]);
         ex_range(value[k], r->mesh.nodes, &low, &high);
         style.high = fmax(style.high * (k > 0), high);
@@ -536,7 +870,9 @@ static void draw(const run *r)
     for (k = 0; k < r->frames; ++k) {
         char caption[64];
         ex_view_begin(p, k, across, down, lower, upper, direction);
-        if (r->breaks) /* stresses across cracks would be those of whole tets */
+        if (r->embed)
+            draw_look(p, r->look + k);
+        else if (r->breaks) /* stresses across cracks would be those of whole tets */
             ex_view_surface(p, r->mesh.nodes, r->frame[k], r->wholes[k], r->whole[k], NULL, &style);
         else
             ex_view_surface(p, r->mesh.nodes, r->frame[k], r->surface.triangles, r->surface.tri,
@@ -546,7 +882,7 @@ static void draw(const run *r)
         ex_view_end(p, caption);
         free(value[k]);
     }
-    if (!r->breaks) ex_colorbar(p, "stress, Pa", 0, style.high);
+    if (p->bar) ex_colorbar(p, "stress, Pa", 0, style.high);
     ex_picture_write(p, ex_path(ex_text(&r->o, "--out"), "body.png"));
     ex_picture_free(p);
 }
@@ -618,11 +954,13 @@ int main(int argc, char **argv)
     if (ex_given(&r.o, "--static")) r.steps = 0;
     ex_make_directory(ex_text(&r.o, "--out"));
     read_mesh(&r);
+    read_surface(&r);
     start = ex_seconds();
     make_model(&r);
     make_body(&r);
     r.setup = ex_seconds() - start;
     add_loads(&r);
+    take_hold(&r);
     set_velocity(&r);
     choose_probe(&r);
     r.time = (double *)ex_new(5 * ((size_t)r.steps + 1), sizeof *r.time);
@@ -630,7 +968,12 @@ int main(int argc, char **argv)
     for (k = 0; k < 3; ++k) r.energy[k] = r.tip + (k + 1) * (r.steps + 1);
     simulate(&r);
     report(&r);
-    for (k = 0; k < r.frames; ++k) free(r.frame[k]), free(r.whole[k]);
+    for (k = 0; k < r.frames; ++k) {
+        free(r.frame[k]);
+        free(r.whole[k]);
+        free(r.look[k].x);
+        free(r.look[k].tri);
+    }
     free(r.time);
     free(r.u);
     sfem_modal_free(r.modal);
@@ -639,7 +982,10 @@ int main(int argc, char **argv)
     sfem_modes_free(&r.modes);
     sfem_body_free(r.body);
     sfem_model_free(r.model);
+    sfem_embed_free(r.embed);
+    sfem_surface_free(&r.render);
     sfem_surface_free(&r.surface);
+    sfem_mesh_sets_free(&r.sets);
     sfem_mesh_free(&r.mesh);
     return 0;
 }

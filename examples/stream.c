@@ -161,7 +161,7 @@ static void body_rest(body *b)
 {
     double *zero = (double *)ex_new((size_t)b->modes, sizeof *zero);
     sfem_error err;
-    must(sfem_modal_set_force(b->modal, NULL, &err), &err);
+    must(sfem_modal_set_lasting_force(b->modal, NULL, &err), &err);
     must(sfem_modal_set_coordinates(b->modal, zero, zero, zero, &err), &err);
     memset(b->hand, 0, sizeof b->hand);
     memset(b->goal, 0, sizeof b->goal);
@@ -185,7 +185,7 @@ static void body_step(body *b)
     for (i = 0; i < b->mesh.nodes; ++i)
         for (k = 0; k < 2 && b->mesh.x[3 * i] > 1 - 1e-9; ++k)
             b->force[3 * i + 1 + k] = b->hand[k] / b->tip;
-    must(sfem_modal_set_force(b->modal, b->force, &err), &err);
+    must(sfem_modal_set_lasting_force(b->modal, b->force, &err), &err);
     must(sfem_modal_step(b->modal, b->h, &err), &err);
 }
 

@@ -6,7 +6,7 @@
  *     time, files   ex_seconds  ex_fail  ex_new  ex_make_directory  ex_path  ex_progress
  *     options       ex_parse  ex_given  ex_text  ex_nth  ex_real  ex_positive  ex_integer  ex_reals
  *                   ex_choice  ex_steps
- *     selections    ex_selection_of  ex_selected  ex_load_of
+ *     selections    ex_selection_of  ex_selected
  *     numbers       ex_clamp  ex_apart  ex_nice  ex_short  ex_gauss
  */
 #ifndef SFEM_EXAMPLES_SUPPORT_H
@@ -329,11 +329,6 @@ typedef struct ex_selection {
     ex_condition condition[EX_CONDITIONS];
 } ex_selection;
 
-typedef struct ex_load {
-    ex_selection where;
-    double force[3];
-} ex_load;
-
 /* one condition from *s on; moves *s behind it */
 EX_STATIC ex_condition ex_condition_of(const char *text, const char **s)
 {
@@ -361,8 +356,7 @@ EX_STATIC ex_condition ex_condition_of(const char *text, const char **s)
     return c;
 }
 
-/* up to the end of the text or a colon; *rest, if asked for, is what stands there */
-EX_STATIC ex_selection ex_selection_until(const char *text, const char **rest)
+EX_STATIC ex_selection ex_selection_of(const char *text)
 {
     ex_selection selection;
     const char *s = text;
@@ -374,28 +368,11 @@ EX_STATIC ex_selection ex_selection_until(const char *text, const char **rest)
         *c = ex_condition_of(text, &s);
         c->alternative = alternative;
         ++selection.count;
-        if (!*s || *s == ':') break;
+        if (!*s) break;
         if (!strchr("&|,", *s)) ex_fail("'%s': cannot read '%s'", text, s);
         alternative = *s++ == '|';
     }
-    if (rest)
-        *rest = s;
-    else if (*s)
-        ex_fail("'%s': cannot read '%s'", text, s);
     return selection;
-}
-
-EX_STATIC ex_selection ex_selection_of(const char *text) { return ex_selection_until(text, NULL); }
-
-/* 'x>0.9:FX,FY,FZ' */
-EX_STATIC ex_load ex_load_of(const char *text)
-{
-    ex_load load;
-    const char *rest;
-    load.where = ex_selection_until(text, &rest);
-    if (*rest != ':') ex_fail("'%s': no ':FX,FY,FZ' after the selection", text);
-    ex_numbers("load", rest + 1, 3, load.force);
-    return load;
 }
 
 EX_STATIC int ex_selected(const ex_selection *selection, long node, const double *x)

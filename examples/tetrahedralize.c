@@ -8,21 +8,25 @@
  *     tetrahedralize body.obj body.msh --tets 20000
  *     tetrahedralize body.stl body.vtu --size 0.05 --cage
  *     tetrahedralize                      a torus of its own
+ *     tetrahedralize body.inp body.vtu    a file that has tets already: they are written in the other format
  *
  * Build: cc -std=c99 -O2 -DSOFTFEM_IMPLEMENTATION -x c softfem.h -x c examples/tetrahedralize.c -I. -lm
- * Reads .obj, .stl, .ply and .off; writes .msh, .vtu or .veg, by the name. Leaves a picture of the tets on one side of a
- * cut in the --out directory. Prints `key value` lines: what was mended in the surface, tets, nodes, quality, angles,
- * volume, seconds.
+ * Reads .obj, .stl, .ply, .off and what sfem_mesh_read does; writes .msh, .vtu or .veg, by the name. Leaves a picture of
+ * the tets on one side of a cut in the --out directory. Prints `key value` lines: what was mended in the surface, tets,
+ * nodes, quality, angles, volume, seconds.
  */
 #include "support.h"
 #include "picture.h"
 #include "softfem.h"
 
 static const ex_option table[] = {
-    {"IN", "IN", NULL, "a surface: .obj, .stl, .ply, .off; without it a torus"},
+    {"IN", "IN", NULL,
+     "a surface: .obj, .stl, .ply, .off, or the triangles of a mesh file; one with tets, and no --tets or --size, is only "
+     "written in the other format; without IN a torus"},
     {"OUTPUT", "OUTPUT", NULL, "tets: .msh, .vtu or .veg; without it mesh.msh in the --out directory"},
     {"--tets", "N", "5000", "how many, within 15 percent"},
     {"--size", "H", NULL, "or the longer edges of the lattice, m"},
+    {"--linear", NULL, NULL, "10-node tets of a file become 4-node ones"},
     {"--cage", NULL, NULL, "whole tets that contain the surface, instead of tets that are cut along it"},
     {"--threads", "N", "1", "threads"},
     {"--out", "DIR", "build/tetrahedralize", "where the picture goes"},
@@ -140,40 +144,70 @@ static void draw(const sfem_mesh *m, const char *path)
     free(skin);
 }
 
+static void print_mesh(const sfem_mesh *m)
+{
+    sfem_mesh_report report;
+    sfem_error err;
+    must(sfem_mesh_check(m, &report, &err), &err);
+    printf("tets         %ld\nnodes        %ld\ncomponents   %ld\n", (long)m->tets, (long)m->nodes, (long)report.components);
+    printf("min_quality  %.3f\nmean_quality %.3f\n", report.min_quality, report.mean_quality);
+}
+
+/* 4. Tets that fill the surface. */
+static void show_progress(sfem_real part, void *user)
+{
+    (void)user;
+    ex_progress("tetrahedralize", (long)(1000 * part), 1000);
+}
+
+static sfem_mesh fill(const ex_options *o, const sfem_surface *surface)
+{
+    sfem_mesher_def def = sfem_default_mesher_def();
+    sfem_mesher_info info;
+    sfem_mesh mesh;
+    sfem_error err;
+    double begin;
+    def.mode = ex_given(o, "--cage") ? SFEM_CAGE : SFEM_FITTED;
+    def.tets = (sfem_int)ex_integer(o, "--tets");
+    if (ex_given(o, "--quick") && !ex_given(o, "--tets")) def.tets = 1000;
+    if (ex_given(o, "--size")) def.size = ex_positive(o, "--size");
+    def.exec.threads = (sfem_int)ex_integer(o, "--threads");
+    def.progress = show_progress;
+    show_progress(0, NULL); /* the clock starts */
+    begin = ex_seconds();
+    must(sfem_mesh_from_surface(&def, surface, &mesh, &info, &err), &err);
+    begin = ex_seconds() - begin;
+    printf("triangles    %ld (left out: %ld without area, %ld doubled; reversed: %ld; open edges: %ld)\n",
+           (long)surface->triangles, (long)info.degenerate, (long)info.doubled, (long)info.flipped, (long)info.open_edges);
+    print_mesh(&mesh);
+    printf("size         %.4g m\nvolume       %.6g m^3\n", info.size, info.volume);
+    printf("angles       %.1f to %.1f degrees\nseconds      %.3f\n", info.min_dihedral, info.max_dihedral, begin);
+    return mesh;
+}
+
 int main(int argc, char **argv)
 {
     const ex_options o = ex_parse(argc, argv, "Tetrahedra that fill a surface.", table);
     const char *directory = ex_text(&o, "--out"), *in = ex_text(&o, "IN"), *out = ex_text(&o, "OUTPUT");
-    sfem_mesher_def def = sfem_default_mesher_def();
-    sfem_mesher_info info;
-    sfem_mesh_report report;
+    sfem_mesh_read_def def = sfem_default_mesh_read_def();
     sfem_surface surface;
     sfem_error err;
     sfem_mesh mesh;
-    double begin;
+    def.linear = ex_given(&o, "--linear");
     ex_make_directory(directory);
-    if (in)
+    if (in && !ex_given(&o, "--tets") && !ex_given(&o, "--size") &&
+        sfem_mesh_read_sets(in, &def, &mesh, NULL, NULL, &err) == SFEM_OK) {
+        print_mesh(&mesh);
+    } else if (in) {
         must(sfem_surface_read(in, NULL, &surface, &err), &err);
-    else
+        mesh = fill(&o, &surface);
+        sfem_surface_free(&surface);
+    } else {
         surface = torus();
-    def.mode = ex_given(&o, "--cage") ? SFEM_CAGE : SFEM_FITTED;
-    def.tets = (sfem_int)ex_integer(&o, "--tets");
-    if (ex_given(&o, "--quick") && !ex_given(&o, "--tets")) def.tets = 1000;
-    if (ex_given(&o, "--size")) def.size = ex_positive(&o, "--size");
-    def.exec.threads = (sfem_int)ex_integer(&o, "--threads");
-    begin = ex_seconds();
-    must(sfem_mesh_from_surface(&def, &surface, &mesh, &info, &err), &err);
-    begin = ex_seconds() - begin;
-    must(sfem_mesh_check(&mesh, &report, &err), &err);
+        mesh = fill(&o, &surface);
+    }
     write_mesh(out ? out : ex_path(directory, "mesh.msh"), &mesh);
     draw(&mesh, ex_path(directory, "cut.png"));
-    printf("triangles    %ld (left out: %ld without area, %ld doubled; reversed: %ld; open edges: %ld)\n",
-           (long)surface.triangles, (long)info.degenerate, (long)info.doubled, (long)info.flipped, (long)info.open_edges);
-    printf("tets         %ld\nnodes        %ld\nsize         %.4g m\n", (long)mesh.tets, (long)mesh.nodes, info.size);
-    printf("volume       %.6g m^3\ncomponents   %ld\n", info.volume, (long)report.components);
-    printf("min_quality  %.3f\nmean_quality %.3f\n", report.min_quality, report.mean_quality);
-    printf("angles       %.1f to %.1f degrees\nseconds      %.3f\n", info.min_dihedral, info.max_dihedral, begin);
     sfem_mesh_free(&mesh);
-    if (in) sfem_surface_free(&surface);
     return 0;
 }

@@ -22,6 +22,7 @@
 
 #include "softfem.h"
 #include "linear.h"
+#include "mesh_files.h"
 
 enum { FUZZ_LARGEST = 8192 };
 
@@ -66,11 +67,51 @@ static void fuzz_use_mesh(sfem_mesh *mesh)
     sfem_mesh_free(mesh);
 }
 
+/* Members are in order and there; regions are those of the tets. */
+static void fuzz_use_sets(const sfem_mesh *m, sfem_mesh_sets *s)
+{
+    sfem_int i, k, tets = 0;
+    for (i = 0; i < s->sets; ++i) {
+        const sfem_set *g = s->set + i;
+        for (k = 0; k < g->count; ++k) {
+            fuzz_require(g->member[k] >= 0 && g->member[k] < (g->of_tets ? m->tets : m->nodes));
+            fuzz_require(k == 0 || g->member[k] > g->member[k - 1]);
+        }
+        fuzz_require(sfem_mesh_sets_find(s, g->name, g->of_tets) != NULL);
+    }
+    for (i = 0; i < s->regions; ++i) {
+        tets += s->region[i].tets;
+        fuzz_require(sfem_mesh_sets_region(s, s->region[i].name) && s->region[i].material);
+    }
+    fuzz_require(tets == (m->region ? m->tets : 0));
+    sfem_mesh_sets_free(s);
+}
+
+/* As it is, with its sets and options, and as a surface. */
 static void fuzz_run_mesh(const unsigned char *data, size_t size)
 {
+    sfem_mesh_read_def def = sfem_default_mesh_read_def();
+    sfem_mesh_sets sets;
+    sfem_mesh_read_info info;
+    sfem_surface s;
     sfem_error err;
     sfem_mesh mesh;
+    sfem_int i;
     if (sfem_mesh_parse(data, size, NULL, &mesh, &err) == SFEM_OK) fuzz_use_mesh(&mesh);
+    def.linear = size % 2;
+    def.weld = size % 4 > 1;
+    if (def.weld) def.weld_distance = size % 8 > 3 ? 0.25 : 0;
+    if (sfem_mesh_parse_sets(data, size, &def, &mesh, &sets, &info, &err) == SFEM_OK) {
+        fuzz_use_sets(&mesh, &sets);
+        fuzz_use_mesh(&mesh);
+    } else
+        fuzz_require(err.text[0]);
+    if (sfem_surface_parse(data, size, NULL, &s, &err) == SFEM_OK) {
+        fuzz_require(s.nodes > 0 && s.triangles > 0);
+        for (i = 0; i < 3 * s.triangles; ++i) fuzz_require(s.tri[i] >= 0 && s.tri[i] < s.nodes);
+        sfem_surface_free(&s);
+    } else
+        fuzz_require(err.text[0]);
 }
 
 /* The two files of TetGen, a byte 0 between them. */
@@ -130,6 +171,16 @@ static void fuzz_put_text(unsigned char *out, size_t *at, const char *text)
     fuzz_put(out, at, text, strlen(text));
 }
 
+/* The k-th of the files first .. last of mesh_files.h, 0 where there are no more. */
+static size_t fuzz_file(int k, int first, int last, unsigned char *out)
+{
+    mesh_file f;
+    if (first + k > last) return 0;
+    mesh_file_sample(first + k, &f);
+    memcpy(out, f.data, f.n);
+    return f.n;
+}
+
 static const double fuzz_point[5][3] = {{0, 0, 0}, {1, 0, 0}, {0, 1, 0}, {0, 0, 1}, {1, 1, 1}};
 
 static size_t fuzz_gmsh2_binary(unsigned char *out)
@@ -185,7 +236,7 @@ static size_t fuzz_seed_gmsh(int k, unsigned char *out)
         "3 1 4 2\n2 10 11 2 3\n3 11 2 3 4\n$EndElements\n"};
     if (k == 2) return fuzz_gmsh2_binary(out);
     if (k == 3) return fuzz_gmsh4_binary(out);
-    return fuzz_text(k, 2, text, out);
+    return k < 2 ? fuzz_text(k, 2, text, out) : fuzz_file(k - 4, 13, 14, out);
 }
 
 static size_t fuzz_seed_vtk(int k, unsigned char *out)
@@ -197,7 +248,18 @@ static size_t fuzz_seed_vtk(int k, unsigned char *out)
         "# vtk DataFile Version 5.1\na title\nASCII\nDATASET UNSTRUCTURED_GRID\nPOINTS 5 float\n" FUZZ_POINTS
         "METADATA\nINFORMATION 0\n\nCELLS 3 8\nOFFSETS vtktypeint64\n0 4 8\nCONNECTIVITY vtktypeint64\n"
         "0 1 2 3 1 2 3 4\nCELL_TYPES 2\n10\n10\n"};
-    return fuzz_text(k, 2, text, out);
+    return k < 2 ? fuzz_text(k, 2, text, out) : fuzz_file(k - 2, 4, 6, out);
+}
+
+static size_t fuzz_seed_vtu(int k, unsigned char *out) { return fuzz_file(k, 0, 3, out); }
+
+static size_t fuzz_seed_inp(int k, unsigned char *out)
+{
+    static const char *const text[1] = {
+        "*NODE\n1,0,0,0\n2,2,0,0\n3,0,2,0\n4,0,0,2\n5,1,0,0\n6,1,1,0\n7,0,1,0\n8,0,0,1\n9,1,0,1\n10,0,1,1\n"
+        "*ELEMENT,TYPE=C3D10,\nELSET=a\n1,1,2,3,4,5,6,7,8,\n9,10\n*ELEMENT,TYPE=C3D8R\n7,1,2,3,4,5,6,7,8\n*ELSET,ELSET=b\n"
+        "a,7\n*NSET,NSET=c,GENERATE\n2,10,3\n*NSET,NSET=d\nc\n*SOLID SECTION,ELSET=b,MATERIAL=m\n*MATERIAL,NAME=m\n"};
+    return k < 1 ? fuzz_text(k, 1, text, out) : fuzz_file(k - 1, 11, 12, out);
 }
 
 static size_t fuzz_seed_medit(int k, unsigned char *out)
@@ -205,7 +267,7 @@ static size_t fuzz_seed_medit(int k, unsigned char *out)
     static const char *const text[1] = {
         "MeshVersionFormatted 2\nDimension\n3\nVertices\n5 # five\n0 0 0 0\n1d0 0 0 0\n0 1 0 3\n0 0 1 0\n1 1 1 -9\n"
         "Triangles 1\n1 2 3 7\nNormals 1\n0 0 1\nNewOne 1\n1 .5 -3\nTetrahedra\n2\n1 2 3 4 4\n2 3 4 5 -5\nEnd\n"};
-    return fuzz_text(k, 1, text, out);
+    return k < 1 ? fuzz_text(k, 1, text, out) : fuzz_file(k - 1, 7, 10, out);
 }
 
 static size_t fuzz_seed_vega(int k, unsigned char *out)
@@ -395,6 +457,8 @@ static sfem_model *fuzz_model(sfem_law law, sfem_mass mass)
     return model;
 }
 
+static const sfem_int fuzz_region[6] = {11, 8, 9, 10, 6, 7};
+
 static sfem_body_def fuzz_body_def(int scene, sfem_damage_def *damage)
 {
     static const sfem_integrator by[FUZZ_SCENES] = {SFEM_NEWMARK, SFEM_PQR,     SFEM_PQR,   SFEM_PQR,      SFEM_PQR,
@@ -402,6 +466,9 @@ static sfem_body_def fuzz_body_def(int scene, sfem_damage_def *damage)
     sfem_body_def def = sfem_default_body_def();
     def.integrator = by[scene];
     def.max_handles = 3;
+    def.max_handle_nodes = 15;
+    if (scene % 3 == 0) def.handle_compliance = 0;
+    if (scene % 3 == 1) def.handle_max_force = 4;
     def.gravity[2] = -9.81;
     if (scene % 2) def.sleep_tolerance = 0.02, def.sleep_time = 0.02;
     if (scene % 3) def.pins = fuzz_pins, def.pin_axes = fuzz_axes, def.pin_count = 4;
@@ -447,7 +514,7 @@ static fuzz_scene *fuzz_body_scene(int k)
             sfem_body_handle_position(s->body, handle[0], target);
             target[2] += 0.01;
             fuzz_require_ok(sfem_body_move_handle(s->body, handle[0], target, &err), &err);
-            fuzz_require_ok(sfem_body_add_node_force(s->body, 9, f, &err), &err);
+            fuzz_require_ok(sfem_body_add_lasting_force(s->body, 9, f, &err), &err);
             if (s->def.damage) fuzz_require_ok(sfem_body_break_edge(s->body, 9, 11, &err), &err);
         }
         sfem_body_save_state(s->body, s->block[stage]);
@@ -480,6 +547,7 @@ static void fuzz_look_at_body(sfem_body *b)
     if (fuzz_first_handle(b, &handle)) {
         sfem_body_handle_force(b, handle, x);
         sfem_body_handle_position(b, handle, x);
+        (void)sfem_body_get_handle(b, handle);
     }
     if (!b->damage) return;
     count = sfem_body_fracture(b).pieces;
@@ -532,14 +600,16 @@ static void fuzz_call_body(sfem_body *b, unsigned call, double h)
     case 1: (void)sfem_body_step(b, h, &err); break;
     case 2: (void)sfem_body_step(b, h / 2, &err); break;
     case 3: for (i = 0; i < 36; ++i) load[i] = i % 5;
-            (void)sfem_body_set_force(b, load, &err); break;
-    case 4: (void)sfem_body_add_node_force(b, 7, f, &err); break;
+            (void)sfem_body_set_lasting_force(b, load, &err); break;
+    case 4: (void)sfem_body_add_lasting_force(b, 7, f, &err); break;
     case 5: if (fuzz_first_handle(b, &handle)) (void)sfem_body_move_handle(b, handle, place, &err);
             break;
     case 6: if (fuzz_first_handle(b, &handle)) sfem_body_release_handle(b, handle);
             break;
     case 7: (void)sfem_body_grab_node(b, 10, &handle, &err); break;
-    case 8: (void)sfem_body_grab_point(b, 3, bary, &handle, &err); break;
+    case 8: if (call % 2) (void)sfem_body_grab_point(b, 3, bary, &handle, &err);
+            else (void)sfem_body_grab_region(b, 6, fuzz_region, NULL, &handle, &err);
+            break;
     case 9: (void)sfem_body_set_pins(b, 3, fuzz_pins, NULL, &err); break;
     case 10: (void)sfem_body_set_gravity(b, f, &err); break;
     case 11: fuzz_look_at_body(b); break;
@@ -703,10 +773,10 @@ static void fuzz_call_modal(sfem_modal *b, unsigned call)
     switch (call % FUZZ_MODAL_CALLS) {
     case 0: (void)sfem_modal_step(b, 0.01, &err); break;
     case 1: (void)sfem_modal_step(b, 0.02, &err); break;
-    case 2: for (i = 0; i < nodes; ++i) (void)sfem_modal_add_node_force(b, i, f, &err);
+    case 2: for (i = 0; i < nodes; ++i) (void)sfem_modal_add_lasting_force(b, i, f, &err);
             break;
-    case 3: (void)sfem_modal_add_node_force(b, nodes - 1, f, &err); break;
-    case 4: (void)sfem_modal_set_force(b, NULL, &err); break;
+    case 3: (void)sfem_modal_add_lasting_force(b, nodes - 1, f, &err); break;
+    case 4: (void)sfem_modal_set_lasting_force(b, NULL, &err); break;
     case 5: (void)sfem_modal_set_gravity(b, f, &err); break;
     case 6: if (fuzz_first_modal_handle(b, 0, &handle)) (void)sfem_modal_move_handle(b, handle, place, &err);
             break;
@@ -757,7 +827,7 @@ static const unsigned char *fuzz_modal_block(int scene, int stage, size_t *bytes
         sfem_modal_save_state(b, block[scene][0]);
         fuzz_require_ok(sfem_modal_grab_node(b, 10, &handle, &err), &err);
         fuzz_require_ok(sfem_modal_grab_region(b, 3, region, NULL, &handle, &err), &err);
-        for (i = 8; i < 12; ++i) fuzz_require_ok(sfem_modal_add_node_force(b, i, f, &err), &err);
+        for (i = 8; i < 12; ++i) fuzz_require_ok(sfem_modal_add_lasting_force(b, i, f, &err), &err);
         for (i = 0; i < 4; ++i) fuzz_require_ok(sfem_modal_step(b, 0.01, &err), &err);
         sfem_modal_save_state(b, block[scene][1]);
         sfem_modal_free(b);
@@ -902,13 +972,14 @@ static size_t fuzz_seed_link(int k, unsigned char *out)
 
 /* -------------------------------------------------------------------------------------------- */
 
-enum { FUZZ_TARGETS = 10 };
+enum { FUZZ_TARGETS = 12 };
 
 static const fuzz_target fuzz_targets[FUZZ_TARGETS] = {
     {"gmsh", fuzz_seed_gmsh, fuzz_run_mesh},          {"vtk", fuzz_seed_vtk, fuzz_run_mesh},
     {"medit", fuzz_seed_medit, fuzz_run_mesh},        {"vega", fuzz_seed_vega, fuzz_run_mesh},
     {"tetgen", fuzz_seed_tetgen, fuzz_run_tetgen},    {"body", fuzz_seed_body, fuzz_run_body},
     {"modal", fuzz_seed_modal, fuzz_run_modal},       {"reduced", fuzz_seed_reduced, fuzz_run_reduced},
-    {"link", fuzz_seed_link, fuzz_run_link},          {"surface", fuzz_seed_surface, fuzz_run_surface}};
+    {"link", fuzz_seed_link, fuzz_run_link},          {"surface", fuzz_seed_surface, fuzz_run_surface},
+    {"vtu", fuzz_seed_vtu, fuzz_run_mesh},            {"inp", fuzz_seed_inp, fuzz_run_mesh}};
 
 #endif

@@ -17,6 +17,7 @@ import sys
 TOP = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
 SCREEN = 60      # lines of a function
 PARAMETERS = 7   # of a function
+TASKS = 45       # lines of the table of functions by task
 
 # What is allowed because it is there. None of it may grow: an entry that is no longer needed is a failure, too, until
 # it is taken out of here or lowered.
@@ -175,6 +176,36 @@ def contents(text):
     return re.findall(r'(?<= )>>([a-z-]+)', top[:re.search(r'^ \* +TAIL', top, flags=re.M).start()])
 
 
+def task_names(text):
+    """The names in the table of functions by task; `_free` after `sfem_mesh_read` is sfem_mesh_free."""
+    top = text[text.index('FUNCTIONS BY TASK'):]
+    table = top[:top.index('\n * CONTENTS')]
+    nouns = ('mesh', 'surface', 'model', 'body', 'workspace', 'modes', 'reduced', 'modal', 'sender', 'receiver', 'ldl',
+             'law', 'add')
+    names, noun = [], None
+    for name in re.findall(r'(?<!\w)(?:sfem)?_\w+', table):
+        if name.startswith('sfem_'):
+            found = re.match(r'sfem_(%s)_' % '|'.join(nouns), name)
+            noun = found.group(1) if found else noun
+            names.append(name)
+        else:
+            names.append('sfem_%s%s' % (noun, name))
+    return names, table.count('\n')
+
+
+def unknown_tasks(header):
+    """What the table of functions by task names and the API does not have; a table that is too long, or empty."""
+    names, lines = task_names(header.text)
+    types = {d.name for d in header.definitions if d.kind == 'type' and d.section < header.first}
+    wrong = ['%s is not declared' % name for name in names if name not in header.declared and name not in types]
+    wrong += ['%s stands twice' % name for name in sorted({n for n in names if names.count(n) > 1})]
+    if lines > TASKS:
+        wrong.append('%d lines, at most %d' % (lines, TASKS))
+    if len(names) < TASKS:
+        wrong.append('only %d names' % len(names))
+    return wrong
+
+
 def later_uses(header):
     """(name, line and section) of names that are used above the section in which they are defined."""
     place = {}
@@ -270,6 +301,8 @@ def check(text):
     differ = ['%s in the contents, %s in the file' % (a, b) for a, b in
               zip(listed + ['nothing'] * len(sections), sections + ['nothing'] * len(listed)) if a != b]
     rows.append(('contents list against the section markers', len(differ), 0, differ))
+    tasks = unknown_tasks(header)
+    rows.append(('names in the table by task that are none', len(tasks), 0, tasks))
     for what, found, allowed in (
             ('uses of what a later section defines', later_uses(header), LATER),
             ('forward declarations', header.forward, FORWARD),
@@ -301,6 +334,9 @@ def self_test(text):
 
     seven = ', '.join('int a%d' % k for k in range(8))
     seeds = [
+        ('names in the table', text.replace(' sfem_body_solve_static\n', ' sfem_body_solve_statics\n', 1)),
+        ('names in the table', text.replace(', _release_handle', ', _drop_handle', 1)),
+        ('names in the table', text.replace(' *     share memory ', ' *\n' * 20 + ' *     share memory ', 1)),
         ('contents list', re.sub(r'^ \*( +)>>fem .*\n', '', text, count=1, flags=re.M)),
         ('contents list', text.replace('\n * >>fem ', '\n * >>assembly ', 1)),
         ('uses of what a later', put('static void sfemi_seed(void) { %s(); }\n' % late)),

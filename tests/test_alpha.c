@@ -9,7 +9,7 @@
 
 static sfem_body_def method(sfem_integrator integrator, double parameter)
 {
-    sfem_body_def def = sfem_default_body_def();
+    sfem_body_def def = exact_body_def();
     def.integrator = integrator;
     if (integrator == SFEM_GUI) def.gui_lambda = parameter;
     if (integrator == SFEM_KR_ALPHA || integrator == SFEM_GENERALIZED_ALPHA)
@@ -248,13 +248,13 @@ static double oscillator_error(const oscillator *o, sfem_body_def def, double xi
     body = oscillator_body(o, def);
     set_node1(body, u0, v0);
     f[3] = load * o->k;
-    assert_ok(sfem_body_set_force(body, f, &err), err);
+    assert_ok(sfem_body_set_lasting_force(body, f, &err), err);
     sfem_body_start(body);
     for (i = 0; i < steps; ++i) {
         const double h = T / steps * (varying ? (i % 2 ? 1.5 : 0.5) : 1);
         t += h;
         f[3] = load * o->k * cos(nu * t);
-        assert_ok(sfem_body_set_force(body, f, &err), err);
+        assert_ok(sfem_body_set_lasting_force(body, f, &err), err);
         step(body, h);
     }
     error = fabs(node1(body) - u);

@@ -1,6 +1,7 @@
 /* The base section: status, errors, memory, threads, small vectors. Compiled with -ffast-math,
  * under which a compiler may take every number for finite. */
 #define SFEM_STATIC
+#define SFEM_MINIMAL
 #define SOFTFEM_IMPLEMENTATION
 #include "support.h"
 

@@ -80,7 +80,7 @@ static double newmark_against_pqr(const block *b, double p, double h, int steps,
                                   double beta)
 {
     const size_t n = 3 * (size_t)b->nodes;
-    sfem_body_def def = sfem_default_body_def();
+    sfem_body_def def = exact_body_def();
     sfem_real *u = (sfem_real *)malloc(3 * n * sizeof *u), *v = u + n, *f = u + 2 * n;
     sfem_body *newmark, *pqr;
     double worst = 0, size = 0;
@@ -98,14 +98,14 @@ static double newmark_against_pqr(const block *b, double p, double h, int steps,
     wave_load(b, 0, f);
     assert_ok(sfem_body_set_state(pqr, u, v, &err), err);
     assert_ok(sfem_body_set_state(newmark, u, v, &err), err);
-    assert_ok(sfem_body_set_force(pqr, f, &err), err);
-    assert_ok(sfem_body_set_force(newmark, f, &err), err);
+    assert_ok(sfem_body_set_lasting_force(pqr, f, &err), err);
+    assert_ok(sfem_body_set_lasting_force(newmark, f, &err), err);
     sfem_body_start(pqr);
     sfem_body_start(newmark);
     for (k = 0; k < steps; ++k) {
         wave_load(b, (k + 1) * h, f);
-        assert_ok(sfem_body_set_force(pqr, f, &err), err);
-        assert_ok(sfem_body_set_force(newmark, f, &err), err);
+        assert_ok(sfem_body_set_lasting_force(pqr, f, &err), err);
+        assert_ok(sfem_body_set_lasting_force(newmark, f, &err), err);
         step(pqr, h);
         step(newmark, h);
         for (i = 0; i < n; ++i) {
@@ -167,7 +167,7 @@ static void a_step_equals_the_dense_solution_of_its_equation(void **state)
     block b = make_block(3, 1, 2, SFEM_MASS_CONSISTENT, 0.3, 0.004, NULL);
     const double h = 0.02, p = 0.3, q = 1.2, r = 1.5;
     const int n = 3 * b.nodes, held = 3 * b.pin_count, m = n - held; /* the pins come first */
-    sfem_body_def def = sfem_default_body_def();
+    sfem_body_def def = exact_body_def();
     sfem_body *body;
     sfem_matrix a;
     sfem_error err;
@@ -256,7 +256,7 @@ static void radius_period_and_damping_are_those_of_the_table(void **state)
     (void)state;
     for (i = 0; i < TEST_COUNT(row); ++i) {
         for (j = 0; j < 4; ++j) {
-            sfem_body_def def = sfem_default_body_def();
+            sfem_body_def def = exact_body_def();
             double radius, angle;
             sfem_body *body;
             sfem_error err;
@@ -293,7 +293,7 @@ static void damped_amplification_is_that_of_the_matrix(void **state)
                 const double W = omega_h[j], *c = pqr[k];
                 const double A = c[0] * W * W + c[1] * W * xi[i] + c[2];
                 const double b = 1 - 2 * W * xi[i] / A, a = 2 - (W * W + 2 * W * xi[i]) / A;
-                sfem_body_def def = sfem_default_body_def();
+                sfem_body_def def = exact_body_def();
                 double radius, angle;
                 sfem_body *body;
                 def.p = c[0];
@@ -338,7 +338,7 @@ static double oscillator_error(const oscillator *o, sfem_body_def def, double xi
     set_node1(body, u0, v0);
     for (i = 0; i <= steps; ++i) {
         f[3] = load * o->k * cos(nu * i * h);
-        if (load != 0) assert_ok(sfem_body_set_force(body, f, &err), err);
+        if (load != 0) assert_ok(sfem_body_set_lasting_force(body, f, &err), err);
         sfem_body_start(body);
         if (i < steps && i > 0) step(body, h);
         if (i == steps) step(body, h);
@@ -362,7 +362,7 @@ static void observe_order(const oscillator *o, sfem_body_def def, double xi, dou
 static void newmark_and_pqr_are_of_second_order(void **state)
 {
     oscillator o = make_oscillator(1e6, SFEM_MASS_CONSISTENT);
-    sfem_body_def def = sfem_default_body_def();
+    sfem_body_def def = exact_body_def();
     (void)state;
     observe_order(&o, def, 0, 0, 200, 2, 2);
     observe_order(&o, def, 0.1, 0.005, 200, 2, 2);
@@ -371,7 +371,7 @@ static void newmark_and_pqr_are_of_second_order(void **state)
     def.p = 0.25;
     def.plain_load = 1;
     observe_order(&o, def, 0.1, 0.005, 400, 2, 2);
-    def = sfem_default_body_def();
+    def = exact_body_def();
     def.integrator = SFEM_CENTRAL;
     observe_order(&o, def, 0.1, 0.005, 200, 2, 2);
     def.integrator = SFEM_NEWMARK;
@@ -385,7 +385,7 @@ static void newmark_and_pqr_are_of_second_order(void **state)
 static void q_other_than_one_is_of_first_order_and_adds_mass(void **state)
 {
     oscillator o = make_oscillator(1e6, SFEM_MASS_LUMPED);
-    sfem_body_def def = sfem_default_body_def();
+    sfem_body_def def = exact_body_def();
     (void)state;
     def.q = 1.5;
     observe_order(&o, def, 0.1, 0, 800, 1, 1);
@@ -395,7 +395,7 @@ static void q_other_than_one_is_of_first_order_and_adds_mass(void **state)
 static void p_one_twelfth_is_of_fourth_order_in_displacement(void **state)
 {
     oscillator o = make_oscillator(1e6, SFEM_MASS_LUMPED);
-    sfem_body_def def = sfem_default_body_def();
+    sfem_body_def def = exact_body_def();
     double e1, e2;
     (void)state;
     def.p = 1.0 / 12;
@@ -411,7 +411,7 @@ static void p_chooses_itself_from_what_is_resolved(void **state)
 {
     oscillator o = make_oscillator(1e6, SFEM_MASS_LUMPED);
     const double w = sqrt(o.k / o.m);
-    sfem_body_def def = sfem_default_body_def();
+    sfem_body_def def = exact_body_def();
     sfem_body *body;
     (void)state;
     def.p = SFEM_P_AUTO;
@@ -433,7 +433,7 @@ static void p_chooses_itself_from_what_is_resolved(void **state)
 static double fall(sfem_integrator integrator, sfem_mass mass, double r, double h, int steps)
 {
     block b = make_block(2, 1, 1, mass, 0, 0, NULL);
-    sfem_body_def def = sfem_default_body_def();
+    sfem_body_def def = exact_body_def();
     sfem_body *body;
     double first, worst = 0;
     sfem_int i;
@@ -468,7 +468,7 @@ static double energy_drift(sfem_integrator integrator, double p, sfem_mass mass,
                            int steps)
 {
     block b = make_block(2, 1, 1, mass, 0, 0, NULL);
-    sfem_body_def def = sfem_default_body_def();
+    sfem_body_def def = exact_body_def();
     sfem_real u[64 * 3], v[64 * 3];
     double start, worst = 0;
     sfem_body *body;
@@ -541,7 +541,7 @@ static void check_momenta(sfem_mass mass, sfem_body_def def, double load, int by
     memcpy(f, before, sizeof f);
     push[1] += m * def.gravity[1];
     assert_ok(sfem_body_set_state(body, NULL, v, &err), err);
-    if (!by_hand) assert_ok(sfem_body_set_force(body, f, &err), err);
+    if (!by_hand) assert_ok(sfem_body_set_lasting_force(body, f, &err), err);
     for (k = 0; k < 200; ++k) {
         memcpy(before, sfem_body_displacement(body), n * sizeof *before);
         assert_ok(sfem_body_predict(body, h, &err), err);
@@ -565,7 +565,7 @@ static void momenta_of_a_stiff_free_body_are_what_its_loads_give(void **state)
     int k;
     (void)state;
     for (k = 0; k < 2; ++k) {
-        sfem_body_def def = sfem_default_body_def();
+        sfem_body_def def = exact_body_def();
         check_momenta(mass[k], def, 0, 0);
         check_momenta(mass[k], def, 0.1, 0);
         check_momenta(mass[k], def, 0.1, 1);
@@ -573,7 +573,7 @@ static void momenta_of_a_stiff_free_body_are_what_its_loads_give(void **state)
         def.p = 0.4;
         def.mass_damping = 1e-4;
         check_momenta(mass[k], def, 0.1, 0);
-        def = sfem_default_body_def();
+        def = exact_body_def();
         def.integrator = SFEM_NEWMARK;
         check_momenta(mass[k], def, 0, 0);
         check_momenta(mass[k], def, 0.1, 0);
@@ -589,7 +589,7 @@ static void momentum_is_kept_from_when_a_body_is_let_go(void **state)
     const double h = 300;
     block b = make_block(4, 1, 1, SFEM_MASS_LUMPED, 0, 0, NULL);
     const size_t bytes = 3 * (size_t)b.nodes * sizeof(double);
-    sfem_body_def def = sfem_default_body_def();
+    sfem_body_def def = exact_body_def();
     double before[3 * 64], x[3], p[6], first[6] = {0};
     sfem_body *body = block_body(&b, def);
     sfem_int handle;
@@ -654,7 +654,7 @@ static void the_stable_step_is_found_and_kept(void **state)
     block b = make_block(3, 2, 2, SFEM_MASS_LUMPED, 0, 0, NULL);
     const sfem_real *mass = sfem_model_node_mass(b.model);
     const size_t n = 3 * (size_t)b.nodes;
-    sfem_body_def def = sfem_default_body_def();
+    sfem_body_def def = exact_body_def();
     sfem_real u[64 * 3], v[64 * 3], ku[64 * 3];
     double w2 = 0, limit;
     sfem_body *body;
@@ -703,7 +703,7 @@ static void the_stable_step_is_found_and_kept(void **state)
 static double varying_step_error(const oscillator *o, int steps, double p, double beta)
 {
     const double w = sqrt(o->k / o->m), T = 7 / w;
-    sfem_body_def def = sfem_default_body_def();
+    sfem_body_def def = exact_body_def();
     double t = 0, xi = beta * w / 2, wd = w * sqrt(1 - xi * xi);
     sfem_body *body;
     int i;
@@ -742,7 +742,7 @@ static void a_change_of_step_keeps_the_order(void **state)
 static void three_parts_make_one_step_and_a_force_in_between_acts(void **state)
 {
     block b = make_block(3, 1, 1, SFEM_MASS_LUMPED, 0.1, 0.001, NULL);
-    sfem_body_def def = sfem_default_body_def();
+    sfem_body_def def = exact_body_def();
     sfem_body *whole, *parts;
     sfem_real f[64 * 3] = {0};
     sfem_error err;
@@ -762,7 +762,7 @@ static void three_parts_make_one_step_and_a_force_in_between_acts(void **state)
     assert_int_equal(hash_reals(sfem_body_displacement(whole), 3 * (size_t)b.nodes),
                      hash_reals(sfem_body_displacement(parts), 3 * (size_t)b.nodes));
     f[3 * (b.nodes - 1) + 1] = 5;
-    assert_ok(sfem_body_set_force(whole, f, &err), err);
+    assert_ok(sfem_body_set_lasting_force(whole, f, &err), err);
     step(whole, 0.01); /* with plain_load, F acts from the next step on */
     step(parts, 0.01);
     for (k = 0; k < 50; ++k) {
@@ -782,7 +782,7 @@ static void three_parts_make_one_step_and_a_force_in_between_acts(void **state)
 static void a_force_that_is_not_finite_leaves_the_state_as_it_was(void **state)
 {
     block b = make_block(2, 1, 1, SFEM_MASS_LUMPED, 0, 0, NULL);
-    sfem_body_def def = sfem_default_body_def();
+    sfem_body_def def = exact_body_def();
     sfem_real f[64 * 3] = {0};
     sfem_body *body;
     sfem_error err;
@@ -797,7 +797,7 @@ static void a_force_that_is_not_finite_leaves_the_state_as_it_was(void **state)
     after = (char *)before + bytes;
     sfem_body_save_state(body, before);
     f[3 * 9 + 1] = NAN;
-    assert_status(sfem_body_set_force(body, f, &err), SFEM_NOT_FINITE);
+    assert_status(sfem_body_set_lasting_force(body, f, &err), SFEM_NOT_FINITE);
     assert_names(err, "node 9");
     assert_int_equal(err.node, 9);
     assert_ok(sfem_body_predict(body, 0.01, &err), err);
@@ -819,7 +819,7 @@ static void a_force_that_is_not_finite_leaves_the_state_as_it_was(void **state)
 static void a_hundred_bodies_share_one_factor(void **state)
 {
     block b = make_block(3, 1, 1, SFEM_MASS_LUMPED, 0, 0, NULL);
-    sfem_body_def def = sfem_default_body_def();
+    sfem_body_def def = exact_body_def();
     sfem_body *body[100];
     sfem_int made = 0;
     sfem_error err;
@@ -847,7 +847,7 @@ static void a_hundred_bodies_share_one_factor(void **state)
 static void without_allocation_an_unprepared_step_says_so(void **state)
 {
     block b = make_block(2, 1, 1, SFEM_MASS_LUMPED, 0, 0, NULL);
-    sfem_body_def def = sfem_default_body_def();
+    sfem_body_def def = exact_body_def();
     test_memory memory = {0};
     sfem_body *body;
     sfem_error err;
@@ -876,7 +876,7 @@ static void a_saved_state_continues_bit_for_bit(void **state)
     size_t j;
     (void)state;
     for (j = 0; j < 2; ++j) {
-        sfem_body_def def = sfem_default_body_def();
+        sfem_body_def def = exact_body_def();
         sfem_body *one, *two;
         sfem_real f[64 * 3];
         sfem_error err;
@@ -888,10 +888,10 @@ static void a_saved_state_continues_bit_for_bit(void **state)
         one = block_body(&b, def);
         two = block_body(&b, def);
         wave_load(&b, 0.3, f);
-        assert_ok(sfem_body_set_force(one, f, &err), err);
+        assert_ok(sfem_body_set_lasting_force(one, f, &err), err);
         for (k = 0; k < 20; ++k) step(one, 0.01);
         wave_load(&b, 0.7, f);
-        assert_ok(sfem_body_set_force(one, f, &err), err);
+        assert_ok(sfem_body_set_lasting_force(one, f, &err), err);
         step(one, 0.01);
         bytes = sfem_body_state_size(one);
         saved = (unsigned char *)malloc(bytes);
@@ -927,7 +927,7 @@ static void a_saved_state_continues_bit_for_bit(void **state)
 static void floats_for_rendering_are_the_positions_and_velocities(void **state)
 {
     block b = make_block(2, 1, 1, SFEM_MASS_LUMPED, 0, 0, NULL);
-    sfem_body_def def = sfem_default_body_def();
+    sfem_body_def def = exact_body_def();
     sfem_real x[64 * 3], v[64 * 3];
     float vertex[64][8], velocity[64][8]; /* three of eight are ours */
     sfem_body *body;
@@ -962,7 +962,7 @@ static void bad_definitions_are_refused(void **state)
     sfem_body_def def;
     (void)state;
 #define REFUSED(change, wanted, words)                                                             \
-    def = sfem_default_body_def();                                                                 \
+    def = exact_body_def();                                                                 \
     change;                                                                                        \
     assert_status(sfem_body_create(b.model, &def, &body, &err), wanted);                           \
     assert_names(err, words);                                                                      \
@@ -991,7 +991,7 @@ static sfem_status build_and_step(sfem_allocator allocator, void *user, sfem_err
     const sfem_int cells[3] = {2, 1, 1}, pins[3] = {0, 1, 2};
     const sfem_real size[3] = {2, 1, 1};
     sfem_model_def model_def = linear_model_def();
-    sfem_body_def def = sfem_default_body_def();
+    sfem_body_def def = exact_body_def();
     sfem_mesh mesh;
     sfem_model *model = NULL;
     sfem_body *body = NULL;
@@ -1036,7 +1036,7 @@ static void every_allocation_may_fail(void **state)
 static uint64_t run_with_threads(sfem_exec exec)
 {
     block b = make_block(12, 3, 3, SFEM_MASS_LUMPED, 0.2, 0.001, NULL);
-    sfem_body_def def = sfem_default_body_def();
+    sfem_body_def def = exact_body_def();
     sfem_body *body;
     sfem_error err;
     uint64_t hash;
@@ -1084,7 +1084,7 @@ static void *run_one_body(void *argument)
 static void two_threads_step_two_bodies_of_one_model(void **state)
 {
     block b = make_block(4, 2, 2, SFEM_MASS_LUMPED, 0, 0.001, NULL);
-    sfem_body_def def = sfem_default_body_def();
+    sfem_body_def def = exact_body_def();
     sfem_body *body[3];
     pthread_t thread[2];
     void *failed[2];
@@ -1108,7 +1108,7 @@ static void two_threads_step_two_bodies_of_one_model(void **state)
 static void mixed_precision_stays_within_its_stated_accuracy(void **state)
 {
     block b = make_block(12, 3, 3, SFEM_MASS_LUMPED, 0, 0, NULL);
-    sfem_body_def def = sfem_default_body_def();
+    sfem_body_def def = exact_body_def();
     sfem_body *exact, *mixed;
     int k;
     (void)state;

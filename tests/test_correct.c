@@ -45,7 +45,7 @@ static void sag(sfem_law law, double accuracy, sfem_integrator integrator, int s
                 double *u)
 {
     scene s = bar_of(5, law, 3e4);
-    sfem_body_def def = sfem_default_body_def();
+    sfem_body_def def = exact_body_def();
     test_random random = {seed};
     double *part = (double *)malloc((size_t)steps * sizeof *part), sum = 0;
     int k;
@@ -129,7 +129,7 @@ static void without_dissipation_it_is_newmark(void **state)
         for (changing = 0; changing < 2; ++changing) {
             scene s = bar_of(5, laws[law], 1e5);
             const size_t n = 3 * (size_t)s.n;
-            sfem_body_def def = sfem_default_body_def();
+            sfem_body_def def = exact_body_def();
             double f[3 * MAX_NODES], size = 0, difference = 0;
             sfem_body *body[2];
             sfem_error err;
@@ -153,7 +153,7 @@ static void without_dissipation_it_is_newmark(void **state)
                 for (i = 0; i < n; ++i)
                     f[i] = 3 * (sin(0.2 * k + 0.1 * (double)i) - sin(0.1 * (double)i));
                 for (j = 0; j < 2; ++j) {
-                    assert_ok(sfem_body_set_force(body[j], f, &err), err);
+                    assert_ok(sfem_body_set_lasting_force(body[j], f, &err), err);
                     step(body[j], h);
                 }
                 difference = fmax(difference, apart(sfem_body_displacement(body[0]),
@@ -180,7 +180,7 @@ static void corrections_are_counted(void **state)
     for (which = 0; which < 4; ++which)
         for (law = 0; law < 2; ++law) {
             scene s = bar_of(5, laws[2 * law], 1e5);
-            sfem_body_def def = sfem_default_body_def();
+            sfem_body_def def = exact_body_def();
             sfem_body_info info;
             int64_t corrections = 0;
             int k;
@@ -222,7 +222,7 @@ static void an_accuracy_out_of_range_is_refused(void **state)
     int k;
     (void)state;
     for (k = 0; k < 5; ++k) {
-        sfem_body_def def = sfem_default_body_def();
+        sfem_body_def def = exact_body_def();
         sfem_error err;
         def.accuracy = accuracy[k];
         def.dissipation = dissipation[k];
@@ -242,7 +242,7 @@ static void corrections_keep_the_momenta_of_free_bodies(void **state)
     for (law = 0; law < 3; ++law)
         for (way = 0; way < 3; ++way) { /* by default; corrected to the end; damped */
             double before[3 * MAX_NODES], p[2][3], l[2][3], d, off[2] = {0, 0};
-            sfem_body_def def = sfem_default_body_def();
+            sfem_body_def def = exact_body_def();
             scene s = bar_of(5, laws[law], 3e5);
             int64_t corrections = 0;
             int k;
@@ -304,7 +304,7 @@ static void damped_swing(sfem_law law, int kind, int handle, int form, int steps
 {
     const sfem_integrator integrator = form == NEWMARK ? SFEM_NEWMARK : SFEM_PQR;
     scene s = bar_of(5, law, 1e5);
-    sfem_body_def def = sfem_default_body_def();
+    sfem_body_def def = exact_body_def();
     const double h = 0.5 / steps;
     double first, last, least;
     drag d;
@@ -352,7 +352,7 @@ static void stiff_free_bodies_spin_at_few_solves(void **state)
         scene s = bar(4, 2, rubber(young[k]));
         sfem_body_info info;
         double start, solves;
-        add_body(&s, sfem_default_body_def(), 0);
+        add_body(&s, exact_body_def(), 0);
         set_motion(&s, zero3, spin);
         start = sfem_body_energy(s.body).total;
         run(s.body, 1.0 / 30, 600);
@@ -412,7 +412,7 @@ static void a_saved_state_continues_with_its_pairs(void **state)
     (void)state;
     for (law = 0; law < 3; ++law) {
         scene s = bar_of(5, laws[law], 1e5);
-        sfem_body_def def = sfem_default_body_def();
+        sfem_body_def def = exact_body_def();
         sfem_body *first, *other;
         const double spin[3] = {3, 1, 0};
         int64_t corrections = 0;
@@ -457,7 +457,7 @@ enum { SWINGS, KICKED, SCATTERED };
 static uint64_t in_units(sfem_law law, int kind, double unit, sfem_body_info *info)
 {
     sfem_material m = rubber((kind == SWINGS ? 1e5 : 1e6) / (unit * unit));
-    sfem_body_def def = sfem_default_body_def();
+    sfem_body_def def = exact_body_def();
     double u[3 * MAX_NODES] = {0}, v[3 * MAX_NODES] = {0};
     test_random random = {17};
     uint64_t hash = 0;
@@ -519,7 +519,7 @@ static double live(const sfem_mesh *mesh, double young, int free_body, double h,
 {
     const size_t n = 3 * (size_t)mesh->nodes;
     sfem_model_def model_def = linear_model_def();
-    sfem_body_def def = sfem_default_body_def();
+    sfem_body_def def = exact_body_def();
     double *v = (double *)calloc(n, sizeof *v), centre[3] = {0, 0, 0}, peak = 0, first, last,
            low = 0;
     sfem_int *pins = (sfem_int *)malloc((size_t)mesh->nodes * sizeof *pins), i;
@@ -599,7 +599,7 @@ static void nodes_rotate_with_the_stiff_parts(void **state)
     const sfem_int cells[3] = {12, 3, 3};
     const double size[3] = {2, 0.3, 0.3};
     sfem_model_def model_def = linear_model_def();
-    sfem_body_def def = sfem_default_body_def();
+    sfem_body_def def = exact_body_def();
     sfem_material material[2];
     sfem_int pins[16], region[12 * 3 * 3 * 6], e, i;
     sfem_body_info info;

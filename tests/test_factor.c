@@ -1,5 +1,8 @@
 /* The factors that bodies of a model share: looked up in its list, by threads at the same time. */
 #define SFEM_STATIC
+#define SFEM_MINIMAL
+#define SFEM_ENABLE_DAMAGE
+#define SFEM_ENABLE_NEWTON
 #define SOFTFEM_IMPLEMENTATION
 #include "support.h"
 
@@ -135,7 +138,7 @@ static uint64_t step_body(sfem_model *model, sfem_int pins, sfem_status *status)
     def.pin_count = 4;
     *status = sfem_body_create(model, &def, &body, NULL);
     if (*status != SFEM_OK) return 0;
-    *status = sfem_body_add_node_force(body, 20, f, NULL);
+    *status = sfem_body_add_lasting_force(body, 20, f, NULL);
     for (k = 0; k < 3 && *status == SFEM_OK; ++k) *status = sfem_body_step(body, k < 2 ? 0.01 : 0.02, NULL);
     hash = hash_reals(sfem_body_displacement(body), 3 * (size_t)model->mesh.nodes);
     sfem_body_free(body);

@@ -85,7 +85,7 @@ static void a_modal_block_with_handles_or_forces_out_of_order_is_refused(void **
     refuse_modal(&m, "a force");
     sfemi_saved_seal(m.block);
     assert_ok(sfem_modal_load_state(m.body, m.block, m.bytes, &err), err);
-    for (i = 0; i < 12; ++i) assert_ok(sfem_modal_add_node_force(m.body, i, f, &err), err);
+    for (i = 0; i < 12; ++i) assert_ok(sfem_modal_add_lasting_force(m.body, i, f, &err), err);
     drop_modal_block(&m);
 }
 
@@ -183,9 +183,18 @@ static void a_body_block_with_a_number_out_of_its_range_is_refused(void **state)
     const sfemi_state *v = &m.view;
     unsigned char *mark;
     (void)state;
-    memset(v->handle[1].weight, 0, sizeof v->handle[1].weight); /* no columns, which are then set to zero */
+    v->region_weight[1] = NAN;
+    refuse_body(&m, "a weight of a handle");
+    v->region_node[3] = 12;
+    refuse_body(&m, "a node of a handle");
+    v->handle[1].first = 0; /* overlaps the first: released one after the other, a negative size would move */
     refuse_body(&m, "a handle");
-    v->handle[0].node[3] = 12;
+    v->handle[1].count = 3; /* one place belongs to nobody */
+    v->handle[1].first = 2;
+    refuse_body(&m, "a handle");
+    v->handle[1].count = INT32_MAX;
+    refuse_body(&m, "a handle");
+    v->handle[1].count = 0;
     refuse_body(&m, "a handle");
     v->handle[0].path.age = -1;
     refuse_body(&m, "a handle");
@@ -293,6 +302,8 @@ MUTATIONS(modal_states, 6)
 MUTATIONS(reduced_models, 7)
 MUTATIONS(packets, 8)
 MUTATIONS(surfaces, 9)
+MUTATIONS(vtu_files, 10)
+MUTATIONS(inp_files, 11)
 
 int main(void)
 {
@@ -311,6 +322,8 @@ int main(void)
         cmocka_unit_test(mutated_reduced_models_are_refused_or_safe),
         cmocka_unit_test(mutated_packets_are_refused_or_safe),
         cmocka_unit_test(mutated_surfaces_are_refused_or_safe),
+        cmocka_unit_test(mutated_vtu_files_are_refused_or_safe),
+        cmocka_unit_test(mutated_inp_files_are_refused_or_safe),
     };
     return run_all_tests(tests);
 }

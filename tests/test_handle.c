@@ -68,7 +68,7 @@ static sfem_model *beam_of(const scheme *s)
 
 static sfem_body_def body_def_of(const scheme *s, sfem_int pin_count)
 {
-    sfem_body_def def = sfem_default_body_def();
+    sfem_body_def def = exact_body_def();
     def.integrator = s->integrator;
     def.p = s->p;
     def.beta = s->beta;
@@ -197,8 +197,8 @@ static void handles_set_moved_and_released_equal_moved_pins(void **state)
         sfem_body_start(handled);
         for (i = 0; i < 200; ++i) {
             for (j = 0; j < DOFS; ++j) force[j] = 100 * sin(0.07 * i) * cos(1.3 * j);
-            assert_ok(sfem_body_set_force(pinned, force, &err), err);
-            assert_ok(sfem_body_set_force(handled, force, &err), err);
+            assert_ok(sfem_body_set_lasting_force(pinned, force, &err), err);
+            assert_ok(sfem_body_set_lasting_force(handled, force, &err), err);
             for (j = 0; j < 2; ++j) {
                 if (i == begin[j]) {
                     handle[j] = grab(handled, node[j]);
@@ -962,7 +962,7 @@ static void a_forged_state_is_refused_or_harmless(void **state)
     const sfem_real size[3] = {1, 1, 1};
     const uint64_t wrong[3] = {0x7fffffff7fffffffu, 0x4000000000000040u, 0xffffffffffffffffu};
     sfem_model_def md = linear_model_def();
-    sfem_body_def def = sfem_default_body_def();
+    sfem_body_def def = exact_body_def();
     sfem_mesh mesh;
     sfem_model *model;
     sfem_body *body;

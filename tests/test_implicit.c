@@ -81,7 +81,7 @@ static void radius_period_and_damping_are_those_of_the_table(void **state)
     (void)state;
     for (i = 0; i < TEST_COUNT(row); ++i)
         for (j = 0; j < 4; ++j) {
-            sfem_body_def def = sfem_default_body_def();
+            sfem_body_def def = exact_body_def();
             double radius, angle;
             sfem_body *body;
             def.integrator = row[i].integrator;
@@ -102,7 +102,7 @@ static void parameters_reach_their_limits(void **state)
 {
     oscillator o = make_oscillator(1e6, SFEM_MASS_LUMPED);
     const double w = sqrt(o.k / o.m);
-    sfem_body_def def = sfem_default_body_def();
+    sfem_body_def def = exact_body_def();
     sfem_body *body[3];
     double radius, angle, rho;
     int i, k;
@@ -159,11 +159,11 @@ static double oscillator_error(const oscillator *o, sfem_body_def def, double xi
     body = oscillator_body(o, def);
     set_node1(body, u0, v0);
     f[3] = load * o->k;
-    assert_ok(sfem_body_set_force(body, f, &err), err);
+    assert_ok(sfem_body_set_lasting_force(body, f, &err), err);
     sfem_body_start(body);
     for (i = 0; i < steps; ++i) {
         f[3] = load * o->k * cos(nu * (i + 1) * h);
-        assert_ok(sfem_body_set_force(body, f, &err), err);
+        assert_ok(sfem_body_set_lasting_force(body, f, &err), err);
         step(body, h);
     }
     error = fabs(node1(body) - u);
@@ -183,7 +183,7 @@ static void observed_order_is_two_but_for_backward_euler(void **state)
     for (i = 0; i < TEST_COUNT(method); ++i)
         for (j = 0; j < 2; ++j) {
             const double order = method[i] == SFEM_BACKWARD_EULER ? 1 : 2;
-            sfem_body_def def = sfem_default_body_def();
+            sfem_body_def def = exact_body_def();
             double coarse, fine, coarse_v, fine_v;
             def.integrator = method[i];
             coarse = oscillator_error(&o, def, damping[j], 800, &coarse_v);
@@ -240,7 +240,7 @@ static void quadratic_drag_follows_its_closed_form(void **state)
             d.c = 3 * o.m;
             for (fine = 0; fine < 2; ++fine) {
                 const int steps = fine ? 800 : 400;
-                sfem_body_def def = sfem_default_body_def();
+                sfem_body_def def = exact_body_def();
                 sfem_body *body;
                 def.integrator = method[i];
                 def.newton.tolerance = 1e-11;
@@ -331,7 +331,7 @@ static void newton_on_a_linear_body_is_linear_newmark(void **state)
             block b = make_block(4, 1, 2, mass[m], 0.4, 0.003);
             unsigned char axes[64];
             drag d = {0, 1, 0, 0};
-            sfem_body_def def = sfem_default_body_def();
+            sfem_body_def def = exact_body_def();
             sfem_body *body[2];
             sfem_int handle[2][2];
             sfem_real *f = (sfem_real *)calloc((size_t)(9 * b.nodes), sizeof *f);
@@ -361,7 +361,7 @@ static void newton_on_a_linear_body_is_linear_newmark(void **state)
                 for (j = 0; j < 3 * b.nodes; ++j) f[j] = k < 30 ? 0 : 0.3 * sin(7 * t + 0.1 * j);
                 for (j = 0; j < 2; ++j) {
                     sfem_real x[3];
-                    assert_ok(sfem_body_set_force(body[j], f, &err), err);
+                    assert_ok(sfem_body_set_lasting_force(body[j], f, &err), err);
                     for (c = 0; c < 3; ++c)
                         x[c] = sfem_model_mesh(b.model)->x[c] + 0.02 * (1 - cos(5 * t)) * (c + 1);
                     assert_ok(sfem_body_move_pin(body[j], 0, x, &err), err);
@@ -455,7 +455,7 @@ static beam plain_beam(sfem_law law, double young)
 static sfem_body_def clamped(sfem_integrator integrator)
 {
     static const sfem_int end[END] = {0, 1, 2, 3, 4, 5};
-    sfem_body_def def = sfem_default_body_def();
+    sfem_body_def def = exact_body_def();
     def.integrator = integrator;
     def.pins = end;
     def.pin_count = END;
@@ -648,7 +648,7 @@ static void momenta(const beam *b, const sfem_body *body, double p[3], double l[
 static double angular_drift(sfem_law law, sfem_integrator method, double h, double time)
 {
     beam b = plain_beam(law, 1e5);
-    sfem_body_def def = sfem_default_body_def();
+    sfem_body_def def = exact_body_def();
     sfem_real *v = (sfem_real *)calloc((size_t)(3 * b.nodes), sizeof *v);
     double p0[3], l0[3], p[3], l[3], drift = 0, size = 0;
     sfem_body *body;
@@ -845,7 +845,7 @@ static void a_static_solution_that_fails_leaves_no_trace(void **state)
     def.newton.tolerance = 1e-14;
     body = make_body(b.model, &def);
     force[1] = 1e9;
-    assert_ok(sfem_body_add_node_force(body, b.nodes - 1, force, &err), err);
+    assert_ok(sfem_body_add_lasting_force(body, b.nodes - 1, force, &err), err);
     step(body, 1e-6);
     hash = hash_reals(sfem_body_displacement(body), (size_t)(3 * b.nodes));
     assert_status(sfem_body_solve_static(body, &err), SFEM_NOT_CONVERGED);
@@ -853,7 +853,7 @@ static void a_static_solution_that_fails_leaves_no_trace(void **state)
     assert_true(hash == hash_reals(sfem_body_displacement(body), (size_t)(3 * b.nodes)));
     sfem_body_free(body);
     def.pin_count = 0; /* held by nothing */
-    def.newton = sfem_default_body_def().newton;
+    def.newton = exact_body_def().newton;
     body = make_body(b.model, &def);
     assert_status(sfem_body_solve_static(body, &err), SFEM_NOT_SPD);
     assert_names(err, "held by nothing");
@@ -867,7 +867,7 @@ static void damping_nearly_spares_rigid_rotation(void **state)
 {
     const sfem_allocator standard = {NULL, NULL, NULL};
     beam b = make_beam(SFEM_COROTATIONAL, 1e6, 0, 0.02, NULL, standard);
-    sfem_body_def def = sfem_default_body_def();
+    sfem_body_def def = exact_body_def();
     sfem_real *v = (sfem_real *)calloc((size_t)(3 * b.nodes), sizeof *v), c[3] = {0, 0, 0};
     sfem_body *body;
     sfem_error err;
@@ -1138,7 +1138,7 @@ static void pool_for(sfem_int count, sfem_task task, void *data, void *user)
 static void a_body_never_calls_the_threads_of_another(void **state)
 {
     block b = make_block(14, 6, 6, SFEM_MASS_LUMPED, 0, 0);
-    sfem_body_def def = sfem_default_body_def();
+    sfem_body_def def = exact_body_def();
     sfem_body *first, *second;
     pool p = {1, 0, 0}, q = {1, 0, 0};
     sfem_error err;

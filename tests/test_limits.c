@@ -231,7 +231,7 @@ static void corrected_to_convergence_it_is_implicit_newmark(void **state)
             f[i] = 0.3 * sin(0.2 * k + 0.1 * (double)i) - 0.3 * sin(0.1 * (double)i);
         for (j = 0; j < 2; ++j) {
             if (k == 0) sfem_body_start(body[j]);
-            assert_ok(sfem_body_set_force(body[j], f, &err), err);
+            assert_ok(sfem_body_set_lasting_force(body[j], f, &err), err);
             step(body[j], 1.0 / 60);
         }
         assert_in_range(sfem_body_get_info(body[0]).corrections, 1,

@@ -1011,7 +1011,7 @@ static void follow_through_handles(int damped)
     link.damping = damping;
     sender = sender_new(&link);
     r = receiver_new(&link);
-    assert_ok(sfem_modal_add_node_force(body, mesh.nodes - 1, push, &err), err);
+    assert_ok(sfem_modal_add_lasting_force(body, mesh.nodes - 1, push, &err), err);
     sfem_modal_start(body);
     last.bytes = 0;
     for (i = 0; i < 200; ++i) {

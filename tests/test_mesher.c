@@ -4,6 +4,7 @@
 #define SFEM_MINIMAL
 #define SFEM_ENABLE_MESHIO
 #define SFEM_ENABLE_MESHER
+#define SFEM_ENABLE_MODEL
 #include "support.h"
 #include "linear.h"
 
@@ -365,7 +366,7 @@ static void angles_stay_in_their_bounds_for_random_cuts(void **state)
         memset(&solid, 0, sizeof solid), memset(&l, 0, sizeof l), memset(&info, 0, sizeof info);
         for (c = 0; c < 3; ++c) solid.box[1][c] = 12;
         l.solid = &solid, l.a = &a, l.err = &err;
-        assert_ok(sfemi_lattice_lay(&l, 1), err);
+        assert_ok(sfemi_lattice_lay(&l, 1, 0), err);
         for (p = 0; p < l.points; ++p) {
             sfem_int at[3];
             sfemi_lattice_indices(&l, p, at);
@@ -429,6 +430,27 @@ static sfem_surface damaged(const sfem_surface *s, int how)
     }
     d.triangles = n;
     return d;
+}
+
+/* Layers come and go with the length of the edges, two at a time where the lattice is centred. */
+static void a_plate_of_few_layers_has_the_number_of_tets_too(void **state)
+{
+    static const double low[3] = {0, 0, 0}, high[3] = {1, 1, 0.1};
+    static const sfem_int wanted[3] = {600, 2000, 5000}; /* 5000 fitted and 2000 of a cage by moved lattices */
+    int mode, k;
+    (void)state;
+    for (mode = SFEM_FITTED; mode <= SFEM_CAGE; ++mode)
+        for (k = 0; k < 3; ++k) {
+            sfem_surface s;
+            sfem_mesher_info info;
+            sfem_mesh m;
+            memset(&s, 0, sizeof s);
+            add_box(&s, low, high);
+            m = mesh_of(&s, (sfem_mesher_mode)mode, 0, wanted[k], &info);
+            assert_near(m.tets, wanted[k], 0.15, 0);
+            sfem_mesh_free(&m);
+            drop_surface(&s);
+        }
 }
 
 static void flipped_and_missing_triangles_change_little(void **state)
@@ -907,6 +929,53 @@ static void a_mesh_reader_that_gets_a_surface_names_the_cure(void **state)
     assert_status(sfem_surface_read(path, NULL, &s, &err), SFEM_IO);
 }
 
+/* ---- progress ---- */
+
+typedef struct told {
+    sfem_real last;
+    int calls;
+} told;
+
+static void hear(sfem_real part, void *user)
+{
+    told *t = (told *)user;
+    assert_true(part >= t->last && part <= 1);
+    t->last = part;
+    ++t->calls;
+}
+
+static sfem_real ball_distance(const sfem_real x[3], void *user)
+{
+    (void)user;
+    return sqrt(x[0] * x[0] + x[1] * x[1] + x[2] * x[2]) - 1;
+}
+
+/* By size and by number of tets; the mesh is the same as without. */
+static void progress_goes_up_to_1(void **state)
+{
+    const sfem_real box[2][3] = {{-1.1, -1.1, -1.1}, {1.1, 1.1, 1.1}};
+    int k;
+    (void)state;
+    for (k = 0; k < 4; ++k) {
+        sfem_mesher_def def = sfem_default_mesher_def();
+        told t = {0, 0};
+        sfem_mesh heard, m;
+        sfem_error err;
+        def.mode = k % 2 ? SFEM_CAGE : SFEM_FITTED;
+        def.tets = 1500;
+        if (k > 1) def.size = 0.1;
+        assert_ok(sfem_mesh_from_sdf(&def, ball_distance, NULL, box, &m, NULL, &err), err);
+        def.progress = hear;
+        def.progress_user = &t;
+        assert_ok(sfem_mesh_from_sdf(&def, ball_distance, NULL, box, &heard, NULL, &err), err);
+        assert_true(t.last == 1 && t.calls >= (k > 1 ? 10 : 2));
+        assert_int_equal(heard.tets, m.tets);
+        assert_memory_equal(heard.x, m.x, 3 * (size_t)m.nodes * sizeof *m.x);
+        sfem_mesh_free(&heard);
+        sfem_mesh_free(&m);
+    }
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
@@ -915,6 +984,7 @@ int main(void)
         cmocka_unit_test(a_box_keeps_its_volume_and_faces),
         cmocka_unit_test(angles_stay_in_their_bounds_for_random_cuts),
         cmocka_unit_test(the_number_of_tets_is_what_was_asked_for),
+        cmocka_unit_test(a_plate_of_few_layers_has_the_number_of_tets_too),
         cmocka_unit_test(flipped_and_missing_triangles_change_little),
         cmocka_unit_test(doubled_triangles_give_the_same_bits),
         cmocka_unit_test(parts_that_overlap_touch_or_are_hollow_have_the_right_volume),
@@ -930,6 +1000,7 @@ int main(void)
         cmocka_unit_test(all_formats_of_surfaces_give_the_same_tetrahedron),
         cmocka_unit_test(bad_surface_files_are_refused_with_their_line),
         cmocka_unit_test(a_mesh_reader_that_gets_a_surface_names_the_cure),
+        cmocka_unit_test(progress_goes_up_to_1),
     };
     return run_all_tests(tests);
 }

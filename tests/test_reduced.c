@@ -218,8 +218,8 @@ static void a_saved_model_moves_as_the_one_it_was_saved_from(void **state)
     sfem_reduced_free(loaded); /* body and view hold it */
     assert_ok(sfem_modal_set_gravity(a, g, &err), err);
     assert_ok(sfem_modal_set_gravity(b, g, &err), err);
-    assert_ok(sfem_modal_add_node_force(a, s.nodes - 1, f, &err), err);
-    assert_ok(sfem_modal_add_node_force(b, s.nodes - 1, f, &err), err);
+    assert_ok(sfem_modal_add_lasting_force(a, s.nodes - 1, f, &err), err);
+    assert_ok(sfem_modal_add_lasting_force(b, s.nodes - 1, f, &err), err);
     for (i = 0; i < 50; ++i) step(a, 0.01), step(b, 0.01);
     sfem_modal_positions(a, s.view, x);
     sfem_modal_positions(b, view, y);
@@ -307,8 +307,8 @@ static void newmark_in_all_modes_is_newmark_in_full_space(void **state)
             const double h = i < 100 || k ? 0.01 : 0.023;
             force[3 * 17 + 1] = 2000 * sin(0.1 * i);
             force[3 * 9] = i < 50 ? 500 : 0;
-            assert_ok(sfem_body_set_force(body, force, &err), err);
-            assert_ok(sfem_modal_set_force(b, force, &err), err);
+            assert_ok(sfem_body_set_lasting_force(body, force, &err), err);
+            assert_ok(sfem_modal_set_lasting_force(b, force, &err), err);
             assert_ok(sfem_body_step(body, h, &err), err);
             step(b, h);
             sfem_modal_displacements(b, s.view, u);
@@ -396,8 +396,8 @@ static void the_exact_oscillator_is_exact_at_any_step(void **state)
                 exponential((long double)omega * omega, c, h, e);
                 for (n = 0; n < 3; ++n) {
                     force[1] = 2.5 - n * n; /* at the end of the step */
-                    assert_ok(sfem_modal_set_force(b, NULL, &err), err);
-                    assert_ok(sfem_modal_add_node_force(b, s.nodes - 1, force, &err), err);
+                    assert_ok(sfem_modal_set_lasting_force(b, NULL, &err), err);
+                    assert_ok(sfem_modal_add_lasting_force(b, s.nodes - 1, force, &err), err);
                     y[3] = ((long double)force[1] * phi[1] - y[2]) / h;
                     for (p = 0; p < 4; ++p)
                         for (z[p] = 0, o = 0; o < 4; ++o) z[p] += e[p][o] * y[o];
@@ -455,7 +455,7 @@ static void fitted_oscillators_die_as_the_exact_ones(void **state)
                 for (k = 0; k < 3; ++k) load[k] = f * phi[k];
                 sum = phi[0] * load[0] + phi[1] * load[1] + phi[2] * load[2];
                 q0 = sum / (omega * omega), v0 = 0;
-                assert_ok(sfem_modal_add_node_force(b, s.nodes - 1, load, &err), err);
+                assert_ok(sfem_modal_add_lasting_force(b, s.nodes - 1, load, &err), err);
                 assert_ok(sfem_modal_set_coordinates(b, &q0, &v0, NULL, &err), err);
                 for (k = 0; k < 20; ++k) step(b, k < 10 ? h : 3 * h);
                 assert_near(sfem_modal_coordinates(b)[0], q0, 1e-9, 0);
@@ -529,12 +529,12 @@ static void fitted_oscillators_are_of_second_order(void **state)
                     assert_ok(sfem_modal_set_coordinates(b[k], &q0, &v0, NULL, &err), err);
                 for (k = 0; k < count * 8; ++k) { /* the exact one takes eight to one */
                     f[2] = 300 * sin(7 * 3.0 * (k + 1) / (8 * count));
-                    assert_ok(sfem_modal_set_force(b[1], NULL, &err), err);
-                    assert_ok(sfem_modal_add_node_force(b[1], s.nodes - 1, f, &err), err);
+                    assert_ok(sfem_modal_set_lasting_force(b[1], NULL, &err), err);
+                    assert_ok(sfem_modal_add_lasting_force(b[1], s.nodes - 1, f, &err), err);
                     step(b[1], 3.0 / (8 * count));
                     if (k % 8 != 7) continue;
-                    assert_ok(sfem_modal_set_force(b[0], NULL, &err), err);
-                    assert_ok(sfem_modal_add_node_force(b[0], s.nodes - 1, f, &err), err);
+                    assert_ok(sfem_modal_set_lasting_force(b[0], NULL, &err), err);
+                    assert_ok(sfem_modal_add_lasting_force(b[0], s.nodes - 1, f, &err), err);
                     step(b[0], 3.0 / count);
                     off[kind][level] =
                         fmax(off[kind][level], fabs(sfem_modal_coordinates(b[0])[0] -
@@ -649,11 +649,11 @@ static void sleeping_modes_stay_within_the_tolerance_and_wake(void **state)
                      0); /* at rest and unloaded: even without a tolerance */
     for (i = 0; i < 6000; ++i) {
         const int loaded = i % 3000 < 30;
-        assert_ok(sfem_modal_set_force(all, NULL, &err), err);
-        assert_ok(sfem_modal_set_force(some, NULL, &err), err);
+        assert_ok(sfem_modal_set_lasting_force(all, NULL, &err), err);
+        assert_ok(sfem_modal_set_lasting_force(some, NULL, &err), err);
         if (loaded) {
-            assert_ok(sfem_modal_add_node_force(all, s.nodes - 1, f, &err), err);
-            assert_ok(sfem_modal_add_node_force(some, s.nodes - 1, f, &err), err);
+            assert_ok(sfem_modal_add_lasting_force(all, s.nodes - 1, f, &err), err);
+            assert_ok(sfem_modal_add_lasting_force(some, s.nodes - 1, f, &err), err);
         }
         step(all, h), step(some, h);
         if (loaded) assert_true(sfem_modal_get_info(some).awake > 0);
@@ -851,7 +851,7 @@ static double hang(hanging *g, double weight)
     for (i = 0; i < g->s.nodes; ++i)
         g->force[3 * i + 2] = -weight * mass[i] / sfem_model_total_mass(g->s.model);
     assert_ok(sfem_body_create(g->s.model, &def, &body, &err), err);
-    assert_ok(sfem_body_set_force(body, g->force, &err), err);
+    assert_ok(sfem_body_set_lasting_force(body, g->force, &err), err);
     assert_ok(sfem_body_solve_static(body, &err), err);
     memcpy(g->exact, sfem_body_displacement(body), 24 * (size_t)g->s.nodes);
     sfem_body_free(body);
@@ -864,7 +864,7 @@ static double hang_warped(hanging *g, sfem_warp warp)
     double sum = 0;
     sfem_error err;
     sfem_int i;
-    assert_ok(sfem_modal_set_force(b, g->force, &err), err);
+    assert_ok(sfem_modal_set_lasting_force(b, g->force, &err), err);
     assert_ok(sfem_modal_solve_static(b, NULL, &err), err);
     sfem_modal_displacements(b, g->s.view, g->u);
     for (i = 0; i < g->s.nodes; ++i) sum += pow(distance(g->u + 3 * i, g->exact + 3 * i), 2);
@@ -930,7 +930,7 @@ static void a_bar_bent_too_far_is_told(void **state)
     sfem_int i;
     (void)state;
     for (i = 0; i < g.s.nodes; ++i) g.force[3 * i + 2] = -1000000.0 / g.s.nodes;
-    assert_ok(sfem_modal_set_force(b, g.force, &err), err);
+    assert_ok(sfem_modal_set_lasting_force(b, g.force, &err), err);
     memset(q, 0, sizeof q);
     assert_status(sfem_modal_solve_static(b, &info, &err), SFEM_NOT_CONVERGED);
     assert_true(info.iterations > 1 && info.iterations <= 200);
@@ -1364,9 +1364,9 @@ static double ringing(const scene *s, double beta, double gamma, double complian
     def.compliance = compliance;
     def.integrator = integrator;
     b = make_modal(s, &def);
-    assert_ok(sfem_modal_add_node_force(b, 50, (const double[3]){0, 3000, 9000}, &err), err);
+    assert_ok(sfem_modal_add_lasting_force(b, 50, (const double[3]){0, 3000, 9000}, &err), err);
     for (i = 0; i < 30; ++i) step(b, 0.01);
-    assert_ok(sfem_modal_set_force(b, NULL, &err), err);
+    assert_ok(sfem_modal_set_lasting_force(b, NULL, &err), err);
     grab(b, s->nodes - 1);
     sfem_reduced_node_modes(s->reduced, s->nodes - 1, phi, NULL);
     for (i = 0; i < 1000; ++i) {
@@ -1518,7 +1518,7 @@ static void loads_on_a_free_body_move_its_frame(void **state)
     sfem_error err;
     int i;
     (void)state;
-    assert_ok(sfem_modal_add_node_force(b, s.nodes - 1, f, &err), err);
+    assert_ok(sfem_modal_add_lasting_force(b, s.nodes - 1, f, &err), err);
     for (i = 0; i < 10; ++i) step(b, 0.001);
     sfem_modal_momentum(b, p, l);
     assert_near(p[2], 1, 1e-12, 0);
@@ -1553,8 +1553,8 @@ static void a_loaded_state_goes_on_as_the_saved_one(void **state)
         b = make_modal(&s[kind], &def);
         bytes = sfem_modal_state_size(a);
         block = malloc(bytes);
-        assert_ok(sfem_modal_add_node_force(a, 50, f, &err), err);
-        assert_ok(sfem_modal_add_node_force(b, 20, f, &err), err);
+        assert_ok(sfem_modal_add_lasting_force(a, 50, f, &err), err);
+        assert_ok(sfem_modal_add_lasting_force(b, 20, f, &err), err);
         for (i = 0; i < 20; ++i) step(a, 0.01);
         handle = grab(a, s[kind].nodes - 1);
         sfem_modal_handle_position(a, handle, x0);
@@ -1598,18 +1598,18 @@ static void a_step_that_fails_leaves_the_state(void **state)
     sfem_error err;
     int i;
     (void)state;
-    assert_ok(sfem_modal_add_node_force(b, 97, small, &err), err);
+    assert_ok(sfem_modal_add_lasting_force(b, 97, small, &err), err);
     for (i = 0; i < 5; ++i) step(b, 0.01);
     memcpy(q, sfem_modal_coordinates(b), sizeof q);
     assert_status(sfem_modal_step(b, 0, &err), SFEM_BAD_ARGUMENT);
     assert_status(sfem_modal_step(b, NAN, &err), SFEM_BAD_ARGUMENT);
-    assert_status(sfem_modal_add_node_force(b, 97, not_a_number, &err), SFEM_NOT_FINITE);
+    assert_status(sfem_modal_add_lasting_force(b, 97, not_a_number, &err), SFEM_NOT_FINITE);
     bad[3] = INFINITY;
     assert_status(sfem_modal_step_with(b, bad, 0.01, 0.25, 0.5, &err), SFEM_NOT_FINITE);
     assert_status(sfem_modal_set_coordinates(b, bad, NULL, NULL, &err), SFEM_NOT_FINITE);
-    assert_ok(sfem_modal_add_node_force(b, 90, huge, &err), err);
-    assert_status(sfem_modal_add_node_force(b, 90, huge, &err), SFEM_NOT_FINITE);
-    assert_ok(sfem_modal_set_force(b, NULL, &err), err);
+    assert_ok(sfem_modal_add_lasting_force(b, 90, huge, &err), err);
+    assert_status(sfem_modal_add_lasting_force(b, 90, huge, &err), SFEM_NOT_FINITE);
+    assert_ok(sfem_modal_set_lasting_force(b, NULL, &err), err);
     bad[3] = 0;
     bad[BEAM_MODES - 1] = 1e308; /* times lambda is too much */
     assert_ok(sfem_modal_set_coordinates(b, bad, NULL, NULL, &err), err);
@@ -1618,7 +1618,7 @@ static void a_step_that_fails_leaves_the_state(void **state)
     assert_ok(sfem_modal_set_coordinates(b, q, NULL, NULL, &err), err);
     assert_memory_equal(q, sfem_modal_coordinates(b), sizeof q);
     assert_near(sfem_modal_time(b), 0.05, 1e-14, 0);
-    assert_ok(sfem_modal_set_force(b, NULL, &err), err);
+    assert_ok(sfem_modal_set_lasting_force(b, NULL, &err), err);
     step(b, 0.01);
     sfem_modal_free(b);
     free_scene(&s);
@@ -1717,9 +1717,53 @@ static void reconstruction_has_the_same_bits_for_any_number_of_threads(void **st
     free_scene(&s);
 }
 
+/* Modes without pins, rigid ones left out as by default: the body is free, and falls. With pins it is held. */
+static void a_body_of_modes_without_pins_is_free(void **state)
+{
+    const sfem_int cells[3] = {4, 1, 1}, pins[4] = {0, 1, 2, 3};
+    const sfem_real size[3] = {4, 1, 1};
+    int pinned, k;
+    (void)state;
+    for (pinned = 0; pinned < 2; ++pinned) {
+        sfem_model_def model_def = linear_model_def();
+        sfem_modes_def modes_def = sfem_default_modes_def();
+        sfem_reduced_def reduced_def = sfem_default_reduced_def();
+        sfem_modal_def def = sfem_default_modal_def();
+        sfem_mesh mesh;
+        sfem_model *model;
+        sfem_modes modes;
+        sfem_reduced *reduced;
+        sfem_modal *modal;
+        sfem_error err;
+        sfem_real x[3];
+        assert_ok(sfem_mesh_block(cells, size, SFEM_CELL_5_TETS, NULL, &mesh, &err), err);
+        model_def.mesh = &mesh;
+        assert_ok(sfem_model_create(&model_def, &model, &err), err);
+        modes_def.modes = 4;
+        if (pinned) modes_def.pins = pins, modes_def.pin_count = 4;
+        assert_ok(sfem_modes_create(model, &modes_def, &modes, &err), err);
+        assert_int_equal(modes.info.free, !pinned);
+        assert_int_equal(modes.rigid, 0);
+        assert_ok(sfem_reduced_create(model, &modes, &reduced_def, &reduced, &err), err);
+        assert_int_equal(sfem_reduced_get_info(reduced).free, !pinned);
+        def.gravity[2] = -10;
+        assert_ok(sfem_modal_create(reduced, &def, &modal, &err), err);
+        for (k = 0; k < 100; ++k) assert_ok(sfem_modal_step(modal, 0.01, &err), err);
+        sfem_modal_node(modal, 0, x, NULL, NULL);
+        if (pinned) assert_near(x[2], 0, 0, 1e-12);
+        else assert_near(x[2], -5, 0.05, 0);
+        sfem_modal_free(modal);
+        sfem_reduced_free(reduced);
+        sfem_modes_free(&modes);
+        sfem_model_free(model);
+        sfem_mesh_free(&mesh);
+    }
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
+        cmocka_unit_test(a_body_of_modes_without_pins_is_free),
         cmocka_unit_test(psi_is_half_the_curl_of_linear_fields),
         cmocka_unit_test(what_does_not_belong_together_is_refused),
         cmocka_unit_test(a_saved_model_moves_as_the_one_it_was_saved_from),

@@ -18,7 +18,7 @@ static void tiny_motions_are_those_of_the_linear_law(void **state)
         int law;
         for (law = 0; law < 2; ++law) {
             sfem_material m = rubber(1e5);
-            sfem_body_def def = sfem_default_body_def();
+            sfem_body_def def = exact_body_def();
             test_random random = {3};
             sfem_error err;
             scene s;
@@ -66,7 +66,7 @@ static void linear_balance(scene *s, double p, double h, double beta, int changi
         memcpy(load[2], load[1], n * sizeof(double));
         memcpy(load[1], load[0], n * sizeof(double));
         for (i = 0; changing && i < n; ++i) load[0][i] = 1e-4 * sin((double)i + 0.3 * (k + 1));
-        if (changing) assert_ok(sfem_body_set_force(s->body, load[0], &err), err);
+        if (changing) assert_ok(sfem_body_set_lasting_force(s->body, load[0], &err), err);
         if (k == 0) memcpy(load[1], load[0], n * sizeof(double));
         step(s->body, h);
         memcpy(u[0], sfem_body_displacement(s->body), n * sizeof(double));
@@ -98,7 +98,7 @@ static void the_invariant_of_a_linear_body_is_exact(void **state)
     for (k = 0; k < 3; ++k)
         for (damped = 0; damped < 2; ++damped) {
             sfem_material m = rubber(1e5);
-            sfem_body_def def = sfem_default_body_def();
+            sfem_body_def def = exact_body_def();
             const double v[3] = {0, 1e-3, 2e-3}, spin[3] = {0.01, 0, 0.02};
             scene s;
             m.law = SFEM_LINEAR;
@@ -119,7 +119,7 @@ static void the_invariant_holds_with_a_stale_factor(void **state)
     const double spin[3] = {0.01, -0.02, 0.03}, a = 0.05, c = cos(a), b = sin(a);
     const double r[9] = {c, -b, 0, b, c, 0, 0, 0, 1};
     double u[3 * MAX_NODES], v[3 * MAX_NODES];
-    sfem_body_def def = sfem_default_body_def();
+    sfem_body_def def = exact_body_def();
     scene s = bar(4, 2, rubber(1e5));
     sfem_error err;
     sfem_int i;
@@ -174,7 +174,7 @@ static void a_tumbling_body_keeps_its_momenta(void **state)
         for (frame = SFEM_FRAME_NODE; frame <= (law ? SFEM_FRAME_NODE : SFEM_FRAME_PIECE);
              ++frame) {
             double before[3 * MAX_NODES], p[2][3], l[2][3], d;
-            sfem_body_def def = sfem_default_body_def();
+            sfem_body_def def = exact_body_def();
             sfem_material m = rubber(1e6);
             scene s;
             int k;
@@ -210,7 +210,7 @@ static void a_stiff_body_keeps_its_momenta(void **state)
         for (way = 0; way < 4; ++way) { /* no load, set, by hand, no load and damped */
             double before[3 * MAX_NODES], v[3 * MAX_NODES], f[3 * MAX_NODES] = {0};
             double p[2][3], l[2][3], x[3];
-            sfem_body_def def = sfem_default_body_def();
+            sfem_body_def def = exact_body_def();
             sfem_material m = rubber(1e13);
             test_random random = {3};
             sfem_error err;
@@ -226,7 +226,7 @@ static void a_stiff_body_keeps_its_momenta(void **state)
             for (c = 0; (way == 1 || way == 2) && c < 3; ++c)
                 f[3 * (s.n - 1) + c] = 0.1 * (c - 1.5) * speed * sfem_model_total_mass(s.model) / h;
             assert_ok(sfem_body_set_state(s.body, NULL, v, &err), err);
-            if (way == 1) assert_ok(sfem_body_set_force(s.body, f, &err), err);
+            if (way == 1) assert_ok(sfem_body_set_lasting_force(s.body, f, &err), err);
             for (k = 0; k < 20; ++k) {
                 const double brake = 1 + def.mass_damping * h / 2,
                              size = speed * sfem_model_total_mass(s.model);
@@ -257,7 +257,7 @@ static void linear_tets_among_others_have_their_torque(void **state)
 {
     const double h = 1e-6, axis[3] = {0, 0, 0.5};
     sfem_model_def model = linear_model_def();
-    sfem_body_def def = sfem_default_body_def();
+    sfem_body_def def = exact_body_def();
     sfem_material material[2];
     sfem_int index[4 * MAX_NODES];
     double u[3 * MAX_NODES], f[3 * MAX_NODES], p[3], l[3], wanted[3] = {0, 0, 0}, t[3], x[3], *work;
@@ -303,7 +303,7 @@ static void a_spinning_body_is_not_held_back(void **state)
     int which;
     (void)state;
     for (which = 0; which < 2; ++which) {
-        sfem_body_def def = sfem_default_body_def();
+        sfem_body_def def = exact_body_def();
         scene s = bar(5, 2, rubber(3e7));
         double x[3 * MAX_NODES], most = 0, length0;
         int k;
@@ -336,7 +336,7 @@ static void rejected_steps_keep_momenta(void **state)
     (void)state;
     for (which = 0; which < 3; ++which) {
         double p[2][3], l[2][3], d, most = 0, energy, before[3 * MAX_NODES];
-        sfem_body_def def = sfem_default_body_def();
+        sfem_body_def def = exact_body_def();
         scene s = bar(8, 2, rubber(young[which]));
         sfem_body_info info;
         add_body(&s, def, 0);
@@ -383,7 +383,7 @@ static void a_turned_problem_has_the_turned_solution(void **state)
         random_rotation(5, r);
         for (turned = 0; turned < 2; ++turned) {
             scene s = bar(6, 2, rubber(3e5));
-            sfem_body_def def = sfem_default_body_def();
+            sfem_body_def def = exact_body_def();
             sfem_error err;
             def.frame = (sfem_frame)frame;
             def.stiffness_damping = 1e-3;
@@ -426,7 +426,7 @@ static void pieces_move_as_if_alone(void **state)
     for (way = 0; way < 4; ++way) {
         const int held = way % 2;
         double alone[2][3 * MAX_NODES], v[3 * MAX_NODES], both[6 * MAX_NODES];
-        sfem_body_def def = sfem_default_body_def();
+        sfem_body_def def = exact_body_def();
         scene s = bar(4, 2, rubber(3e5));
         sfem_model_def model = linear_model_def();
         sfem_mesh two;
@@ -588,7 +588,7 @@ static void violent_runs_keep_their_energy(void **state)
                 for (k = 0; k < 3; ++k) {
                     sfem_body_info info;
                     const double e = excess(kind, young[i], poisson[j], h[k], k < 2 ? 1 : 0.3,
-                                            sfem_default_body_def(), SFEM_COROTATIONAL, &info);
+                                            exact_body_def(), SFEM_COROTATIONAL, &info);
                     if (!(e <= 1))
                         fail_msg("scene %d, Y %g, nu %g, h %g: %g scales, %d of %d rejected", kind,
                                  young[i], poisson[j], h[k], e, (int)info.rejected,
@@ -608,14 +608,14 @@ static void violent_runs_of_other_laws_keep_their_energy(void **state)
             for (k = 0; k < 2; ++k) {
                 sfem_body_info info;
                 const double e = excess(kind, k ? 1e4 : 1e6, 0.3, k ? 1.0 / 30 : 1.0 / 60, 0.7,
-                                        sfem_default_body_def(), laws[law], &info);
+                                        exact_body_def(), laws[law], &info);
                 if (!(e <= 1)) fail_msg("scene %d, law %d, %d: %g scales", kind, law, k, e);
             }
 }
 
 static void other_forms_explode(void **state)
 {
-    sfem_body_def rest = sfem_default_body_def(), bare = rest, guarded = rest;
+    sfem_body_def rest = exact_body_def(), bare = rest, guarded = rest;
     sfem_body_info info;
     double p;
     (void)state;
@@ -634,7 +634,7 @@ static void other_forms_explode(void **state)
 /* The isotropic majorant needs no guard for corotational bodies. */
 static void the_majorant_is_a_frame(void **state)
 {
-    sfem_body_def def = sfem_default_body_def();
+    sfem_body_def def = exact_body_def();
     sfem_body_info info;
     int kind;
     (void)state;
@@ -684,7 +684,7 @@ static void a_falling_body_is_left_alone(void **state)
     (void)state;
     for (k = 0; k < 3; ++k) {
         sfem_material material = rubber(2e5);
-        sfem_body_def def = sfem_default_body_def();
+        sfem_body_def def = exact_body_def();
         double v[3 * MAX_NODES];
         sfem_int i;
         scene s;
@@ -706,7 +706,7 @@ static void a_falling_body_is_not_braked_by_rejected_steps(void **state)
 {
     const double h = 1.0 / 60, g = 9.81;
     scene s = bar(5, 2, rubber(1e6));
-    sfem_body_def def = sfem_default_body_def();
+    sfem_body_def def = exact_body_def();
     double before[3 * MAX_NODES], v[3 * MAX_NODES], p[3], l[3], first = 0;
     const double *mass = sfem_model_node_mass(s.model), total = sfem_model_total_mass(s.model);
     test_random random = {17};
@@ -765,7 +765,7 @@ static void a_body_on_a_floor_of_the_callers_is_left_alone(void **state)
     (void)state;
     for (k = 0; k < 2; ++k) {
         sfem_material material = rubber(2e5);
-        sfem_body_def def = sfem_default_body_def();
+        sfem_body_def def = exact_body_def();
         const double h = 1 / 60.0;
         double up = 0;
         scene s;
@@ -799,7 +799,7 @@ static void crushed_bodies_come_back(void **state)
                 m.mass_damping = 1;
                 m.stiffness_damping = young < 1e6 ? 2e3 / young : 2e-3;
                 s = bar(4, 3, m);
-                add_body(&s, sfem_default_body_def(), 0);
+                add_body(&s, exact_body_def(), 0);
                 set_scene(&s, kind);
                 start = sfem_body_energy(s.body).total;
                 run(s.body, h[k], (int)(6 / h[k]));
@@ -844,7 +844,7 @@ static void bodies_torn_a_hundredfold_come_back(void **state)
         m.mass_damping = 1;
         m.stiffness_damping = 0.02;
         s = bar(4, 2, m);
-        add_body(&s, sfem_default_body_def(), 0);
+        add_body(&s, exact_body_def(), 0);
         tear(&s, 40);
         assert_true(sfem_body_energy(s.body).elastic > 1e11 * calm);
         run(s.body, 1.0 / 60, 240);
@@ -898,7 +898,7 @@ static void knots_come_to_rest(void **state)
         m.mass_damping = 2;
         m.stiffness_damping = k ? 1e-3 : 0.05;
         s = bar(5, 2, m);
-        add_body(&s, sfem_default_body_def(), 0);
+        add_body(&s, exact_body_def(), 0);
         set_scene(&s, SCATTERED);
         if (TEST_SANITIZED) {
             run(s.body, h[k], 100);
@@ -932,7 +932,7 @@ static void a_point_opens_the_same_way_whatever_its_rounding(void **state)
         double u[2][3 * MAX_NODES], moved = 0;
         test_random random = {5};
         scene s = bar(4, 2, rubber(1e5));
-        sfem_body_def def = sfem_default_body_def();
+        sfem_body_def def = exact_body_def();
         sfem_error err;
         sfem_int i;
         def.precision = precision[k];
@@ -963,7 +963,7 @@ static void p_follows_the_law(void **state)
     for (k = 0; k < 3; ++k)
         for (corrected = 0; corrected < 2; ++corrected) {
             sfem_material m = rubber(3e4);
-            sfem_body_def def = sfem_default_body_def();
+            sfem_body_def def = exact_body_def();
             scene s;
             m.law = law[k];
             s = bar(5, 2, m);
@@ -993,7 +993,7 @@ static void a_changing_step_is_as_good_as_a_fixed_one(void **state)
     for (which = 0; which < 2; ++which) {
         for (k = 0; k < 3; ++k) { /* fine, h = 1/240, steps of 1/120 and 1/480 in turn */
             scene s = bar(5, 2, rubber(3e4));
-            sfem_body_def def = sfem_default_body_def();
+            sfem_body_def def = exact_body_def();
             int j;
             def.gravity[1] = -5;
             def.accuracy = k ? accuracy[which] : 1e-6;
@@ -1032,7 +1032,7 @@ static void changes_make_no_energy(void **state)
     (void)state;
     for (k = 0; k < 3; ++k) {
         scene s = bar(5, 2, rubber(young[k]));
-        sfem_body_def def = sfem_default_body_def();
+        sfem_body_def def = exact_body_def();
         double f[3 * MAX_NODES], g[3] = {0, 0, 0}, most = 0, total = 0;
         test_random random = {23};
         sfem_error err;
@@ -1043,7 +1043,7 @@ static void changes_make_no_energy(void **state)
                 0) { /* loads of up to 20 N a node, gravity of up to 20 m/s^2, for the first second */
                 const double on = j < 120 ? 1 : 0;
                 random_fill(&random, f, 3 * (size_t)s.n, -20 * on, 20 * on);
-                assert_ok(sfem_body_set_force(s.body, f, &err), err);
+                assert_ok(sfem_body_set_lasting_force(s.body, f, &err), err);
                 random_fill(&random, g, 3, -20 * on, 20 * on);
                 assert_ok(sfem_body_set_gravity(s.body, g, &err), err);
             }
@@ -1071,7 +1071,7 @@ static void handles_are_where_they_should_be(void **state)
     for (k = 0; k < 3; ++k)
         for (held = 0; held < 2; ++held) {
             scene s = bar(5, 2, rubber(young[k]));
-            sfem_body_def def = sfem_default_body_def();
+            sfem_body_def def = exact_body_def();
             const sfem_real bary[4] = {0.1, 0.2, 0.3, 0.4};
             sfem_real target[3], x[3], second[3], quick = 0;
             sfem_int a, b = -1;
@@ -1117,7 +1117,7 @@ static void pins_move_and_hold_single_axes(void **state)
     (void)state;
     for (k = 0; k < 2; ++k) {
         scene s = bar(5, 2, rubber(young[k]));
-        sfem_body_def def = sfem_default_body_def();
+        sfem_body_def def = exact_body_def();
         unsigned char axes[64];
         sfem_error err;
         sfem_int i;
@@ -1165,7 +1165,7 @@ static void single_axes_of_a_rotated_body_are_held(void **state)
         sfem_int i;
         material.law = laws[l];
         s = bar(6, 2, material);
-        add_body(&s, sfem_default_body_def(), 0);
+        add_body(&s, exact_body_def(), 0);
         set_motion(&s, zero3, spin);
         start = sfem_body_energy(s.body).total;
         u = sfem_body_displacement(s.body);
@@ -1211,7 +1211,7 @@ static void damping_takes_energy_and_no_rotation(void **state)
             const double beta = stiff ? 0.3 : 3e-3, spin[3] = {0.5, 1, 2};
             double last, first, l[3], p[3], l0[3] = {0, 0, 0}, before[3 * MAX_NODES], rigid;
             sfem_material m = rubber(1e6);
-            sfem_body_def def = sfem_default_body_def();
+            sfem_body_def def = exact_body_def();
             scene s;
             int k;
             if (kind == 0) def.stiffness_damping = beta;
@@ -1255,7 +1255,7 @@ static void damping_takes_energy_and_no_rotation(void **state)
 
 static sfem_body_def eventful(void)
 {
-    sfem_body_def def = sfem_default_body_def();
+    sfem_body_def def = exact_body_def();
     def.stiffness_damping = 1e-3;
     def.gravity[2] = -9.81;
     return def;
@@ -1328,7 +1328,7 @@ static void a_handle_that_follows_another_is_held_in_steps_done_again(void **sta
     sfem_error err;
     int j, k;
     (void)state;
-    add_body(&s, sfem_default_body_def(), 1);
+    add_body(&s, exact_body_def(), 1);
     body[0] = s.body;
     for (j = 0; j < 2; ++j) {
         assert_ok(sfem_body_grab_node(body[0], j ? s.n / 2 : s.n - 1, &handle, &err), err);
@@ -1346,7 +1346,7 @@ static void a_handle_that_follows_another_is_held_in_steps_done_again(void **sta
     bytes = sfem_body_state_size(body[0]);
     block = malloc(2 * bytes);
     sfem_body_save_state(body[0], block);
-    add_body(&s, sfem_default_body_def(), 1);
+    add_body(&s, exact_body_def(), 1);
     body[1] = s.body;
     assert_ok(sfem_body_load_state(body[1], block, bytes, &err), err);
     sfem_body_handle_position(body[0], handle, target);
@@ -1378,7 +1378,7 @@ static void a_step_that_fails_or_is_given_up_leaves_no_trace(void **state)
     int j, k;
     (void)state;
     for (j = 0; j < 2; ++j) {
-        add_body(&s, sfem_default_body_def(), 1);
+        add_body(&s, exact_body_def(), 1);
         body[j] = s.body;
     }
     bytes = sfem_body_state_size(s.body);

@@ -1,5 +1,9 @@
 /* The L D L^T of an n x n matrix, and the isotropic majorant that is factored as one. */
 #define SFEM_STATIC
+#define SFEM_MINIMAL
+#define SFEM_ENABLE_DAMAGE
+#define SFEM_ENABLE_NEWTON
+#define SFEM_ENABLE_MESHIO
 #define SOFTFEM_IMPLEMENTATION
 #include "support.h"
 #include "linear.h"

@@ -46,7 +46,7 @@ static void drop(scene *s)
 /* hangs from its pins, damped so that it rests after some seconds */
 static sfem_body_def hanging(const scene *s)
 {
-    sfem_body_def d = sfem_default_body_def();
+    sfem_body_def d = exact_body_def();
     d.pins = s->pins;
     d.pin_count = s->pin_count;
     d.gravity[1] = -9.8;
@@ -352,10 +352,10 @@ static void provoke(scene *s, sfem_body *body, int cause, int same, sfem_int han
         break;
     case FORCE:
         all[3 * s->tip] = same ? 0.5 : 0.6;
-        assert_ok(sfem_body_set_force(body, all, &err), err);
+        assert_ok(sfem_body_set_lasting_force(body, all, &err), err);
         break;
     case NODE_FORCE:
-        assert_ok(sfem_body_add_node_force(body, s->tip, push, &err), err);
+        assert_ok(sfem_body_add_lasting_force(body, s->tip, push, &err), err);
         break;
     case GRAVITY:
         assert_ok(sfem_body_set_gravity(body, g, &err), err);
@@ -401,7 +401,7 @@ static sfem_int hold_and_load(scene *s, sfem_body *body)
     sfem_int handle;
     sfem_error err;
     all[3 * s->tip] = 0.5;
-    assert_ok(sfem_body_set_force(body, all, &err), err);
+    assert_ok(sfem_body_set_lasting_force(body, all, &err), err);
     assert_ok(sfem_body_grab_node(body, s->tip, &handle, &err), err);
     free(all);
     return handle;
@@ -454,16 +454,16 @@ static void a_load_that_is_set_every_step_counts_when_it_changes(void **state)
     int k, asleep = 0;
     (void)state;
     for (k = 0; k < 1200; ++k) {
-        assert_ok(sfem_body_set_force(body, NULL, &err), err);
-        assert_ok(sfem_body_add_node_force(body, s.tip, f, &err), err);
+        assert_ok(sfem_body_set_lasting_force(body, NULL, &err), err);
+        assert_ok(sfem_body_add_lasting_force(body, s.tip, f, &err), err);
         step(body, 1.0 / 60);
         asleep += sfem_body_is_asleep(body);
     }
     assert_true(asleep > 600);
     for (k = 0; k < 600; ++k) {
         f[0] = nextafter(f[0], 1);
-        assert_ok(sfem_body_set_force(body, NULL, &err), err);
-        assert_ok(sfem_body_add_node_force(body, s.tip, f, &err), err);
+        assert_ok(sfem_body_set_lasting_force(body, NULL, &err), err);
+        assert_ok(sfem_body_add_lasting_force(body, s.tip, f, &err), err);
         step(body, 1.0 / 60);
         assert_false(sfem_body_is_asleep(body));
     }
@@ -494,8 +494,8 @@ static void a_push_after_sleep_acts_as_on_a_body_at_rest(void **state)
             run_to_sleep(body, 1.0 / 60);
             assert_ok(sfem_body_set_state(rest, sfem_body_displacement(body), NULL, &err), err);
             sfem_body_start(rest); /* its load at the start is the old one, too */
-            assert_ok(sfem_body_add_node_force(body, s.tip, push, &err), err);
-            assert_ok(sfem_body_add_node_force(rest, s.tip, push, &err), err);
+            assert_ok(sfem_body_add_lasting_force(body, s.tip, push, &err), err);
+            assert_ok(sfem_body_add_lasting_force(rest, s.tip, push, &err), err);
             for (k = 0; k < 30; ++k) {
                 step(body, 1.0 / 60);
                 step(rest, 1.0 / 60);
@@ -534,8 +534,8 @@ static void sleep_is_part_of_the_saved_state(void **state)
         assert_true(sfem_body_is_asleep(copy));
         step(copy, 1.0 / 60);
         assert_true(sfem_body_time(body) == sfem_body_time(copy));
-        assert_ok(sfem_body_add_node_force(body, s.tip, push, &err), err);
-        assert_ok(sfem_body_add_node_force(copy, s.tip, push, &err), err);
+        assert_ok(sfem_body_add_lasting_force(body, s.tip, push, &err), err);
+        assert_ok(sfem_body_add_lasting_force(copy, s.tip, push, &err), err);
         do { /* both wake and go the same way; taken up again in the midst of the calm time, too */
             step(body, 1.0 / 60);
             step(copy, 1.0 / 60);
@@ -567,7 +567,7 @@ static void a_tolerance_or_time_that_makes_no_sense_is_refused(void **state)
     sfem_body *body = NULL;
     sfem_error err;
     (void)state;
-    assert_true(sfem_default_body_def().sleep_tolerance == 0);
+    assert_true(exact_body_def().sleep_tolerance == 0);
     def.sleep_tolerance = -1;
     assert_status(sfem_body_create(s.model, &def, &body, &err), SFEM_BAD_ARGUMENT);
     assert_names(err, "sleep (below -1 m/s");

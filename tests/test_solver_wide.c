@@ -1,6 +1,9 @@
 /* The tests of the solver once more, with the tiles and vectors of AVX-512, on processors that only
  * have AVX2: what the intrinsics would do is done in plain C. */
 #define SFEM_STATIC
+#define SFEM_MINIMAL
+#define SFEM_ENABLE_MODEL
+#define SFEM_ENABLE_MESHIO
 #define SFEM_FORCE_PATH 2
 #define SFEMI_EMULATE_AVX512
 #define SOFTFEM_IMPLEMENTATION

@@ -82,19 +82,19 @@ static void a_step_takes_at_most_16_kB_of_stack(void **state)
 #endif
     for (i = 0; i < 4; ++i)
         for (k = 0; k < 4; ++k) {
-            def = sfem_default_body_def();
+            def = exact_body_def();
             def.integrator = by[i];
             used = stack_of_scene(law[k], def);
             if (used > most) fail_msg("integrator %d, law %d: %lu bytes", (int)by[i], (int)law[k], (unsigned long)used);
             assert_true(used > 1000); /* so much the solver alone takes: it was measured */
         }
-    def = sfem_default_body_def();
+    def = exact_body_def();
     damage.toughness = 1;
     def.damage = &damage;
     def.refactorise = 1;
     used = stack_of_scene(SFEM_COROTATIONAL, def);
     if (used > most) fail_msg("damage and a factor of what is left: %lu bytes", (unsigned long)used);
-    def = sfem_default_body_def();
+    def = exact_body_def();
     def.precision = SFEM_MIXED;
     used = stack_of_scene(SFEM_NEOHOOKEAN, def);
     if (used > most) fail_msg("mixed precision: %lu bytes", (unsigned long)used);

@@ -47,7 +47,7 @@ static void drop(scene *s)
 /* Every method, and what each has in the workspace. */
 static sfem_body *make(const scene *s, int kind, sfem_workspace *workspace)
 {
-    sfem_body_def def = sfem_default_body_def();
+    sfem_body_def def = exact_body_def();
     sfem_body *body = NULL;
     sfem_error err;
     def.workspace = workspace;
@@ -132,7 +132,7 @@ static void a_body_in_its_step_keeps_the_workspace(void **state)
     scene s;
     sfem_workspace *workspace = NULL;
     sfem_body *alone, *one, *other, *refused = NULL;
-    sfem_body_def def = sfem_default_body_def();
+    sfem_body_def def = exact_body_def();
     sfem_error err;
     int k;
     (void)state;
@@ -208,7 +208,7 @@ static void a_rotating_body_that_shares_takes_150_bytes_a_node_beyond_its_state(
     static const sfem_real size[3] = {2, 0.6, 0.7};
     counter count = {0};
     sfem_model_def model_def = linear_model_def();
-    sfem_body_def def = sfem_default_body_def();
+    sfem_body_def def = exact_body_def();
     sfem_workspace *workspace = NULL;
     sfem_body *body[10];
     sfem_model *model;
@@ -253,7 +253,7 @@ static sfem_status attempt(sfem_allocator allocator, void *user, sfem_error *err
     const scene *s = (const scene *)user;
     sfem_workspace *workspace = NULL;
     sfem_body *body = NULL;
-    sfem_body_def def = sfem_default_body_def();
+    sfem_body_def def = exact_body_def();
     sfem_status status = sfem_workspace_create(&allocator, &workspace, err);
     def.workspace = workspace;
     def.pins = s->pins;
