@@ -135,13 +135,14 @@
  *     SFEM_NO_DAMAGE     without fracture, >>api-damage
  *     SFEM_NO_NEWTON     without the integrators that iterate by Newton, and statics of nonlinear laws: bodies step by
  *                        (p,q,r) and its kin, or if linear by Newmark. The energy safeguard keeps its iteration
+ *     SFEM_NO_SMOOTH     without smooth tets (sfem_tet): models of linear ones only
  *     SFEM_NO_BODY       without bodies that step by nodes, >>api-body, fracture and Newton's iteration
  *     SFEM_NO_MODEL      without matrices, solvers, materials and models, >>api-matrix, >>api-element, >>api-model, and
  *                        what is made of them: bodies and modes
  *     SFEM_MINIMAL       meshes without all of these, but for those that an SFEM_ENABLE_ switch names:
  *     SFEM_ENABLE_MESHIO, SFEM_ENABLE_MESHER, SFEM_ENABLE_EMBED, SFEM_ENABLE_MODEL, SFEM_ENABLE_BODY (with models),
- *     SFEM_ENABLE_DAMAGE and SFEM_ENABLE_NEWTON (with bodies), SFEM_ENABLE_MODES (with models), SFEM_ENABLE_REDUCED,
- *     SFEM_ENABLE_LINK (with reduced models). SFEM_ENABLE_REDUCED alone plays reduced models that were saved; with
+ *     SFEM_ENABLE_DAMAGE and SFEM_ENABLE_NEWTON (with bodies), SFEM_ENABLE_SMOOTH and SFEM_ENABLE_MODES (with models),
+ *     SFEM_ENABLE_REDUCED, SFEM_ENABLE_LINK (with reduced models). SFEM_ENABLE_REDUCED alone plays reduced models that were saved; with
  *     SFEM_ENABLE_MODES it makes them
  *
  * LIMITS. Linear (4-node) tetrahedra. Node and tet counts below 2^31. No contact, no remeshing.
@@ -187,7 +188,11 @@
 #if !defined(SFEM_NO_MODES) && !defined(SFEM_ENABLE_MODES)
 #define SFEM_NO_MODES
 #endif
-#if !defined(SFEM_NO_MODEL) && !defined(SFEM_ENABLE_MODEL) && defined(SFEM_NO_BODY) && defined(SFEM_NO_MODES)
+#if !defined(SFEM_NO_SMOOTH) && !defined(SFEM_ENABLE_SMOOTH)
+#define SFEM_NO_SMOOTH
+#endif
+#if !defined(SFEM_NO_MODEL) && !defined(SFEM_ENABLE_MODEL) && defined(SFEM_NO_BODY) && defined(SFEM_NO_MODES) && \
+    defined(SFEM_NO_SMOOTH)
 #define SFEM_NO_MODEL
 #endif
 #endif
@@ -206,17 +211,23 @@
 #if (defined(SFEM_ENABLE_DAMAGE) || defined(SFEM_ENABLE_NEWTON)) && defined(SFEM_NO_BODY)
 #error "softfem.h: fracture and Newton's iteration are parts of bodies: define SFEM_NO_BODY, or SFEM_ENABLE_DAMAGE or SFEM_ENABLE_NEWTON, not both"
 #endif
+#if defined(SFEM_ENABLE_SMOOTH) && defined(SFEM_NO_SMOOTH)
+#error "softfem.h: SFEM_ENABLE_SMOOTH and SFEM_NO_SMOOTH are both defined: define only one of them"
+#endif
 #if defined(SFEM_ENABLE_MODEL) && defined(SFEM_NO_MODEL)
 #error "softfem.h: SFEM_ENABLE_MODEL and SFEM_NO_MODEL are both defined: define only one of them"
 #endif
 #ifdef SFEM_NO_MODEL
-#if defined(SFEM_ENABLE_BODY) || defined(SFEM_ENABLE_DAMAGE) || defined(SFEM_ENABLE_NEWTON) || defined(SFEM_ENABLE_MODES)
-#error "softfem.h: bodies and modes are made of models: define SFEM_NO_MODEL, or SFEM_ENABLE_ of one of them, not both"
+#if defined(SFEM_ENABLE_BODY) || defined(SFEM_ENABLE_DAMAGE) || defined(SFEM_ENABLE_NEWTON) || \
+    defined(SFEM_ENABLE_MODES) || defined(SFEM_ENABLE_SMOOTH)
+#error "softfem.h: bodies, modes and smooth tets are made of models: define SFEM_NO_MODEL, or SFEM_ENABLE_ of one of them, not both"
 #endif
 #undef SFEM_NO_BODY
 #undef SFEM_NO_MODES
+#undef SFEM_NO_SMOOTH
 #define SFEM_NO_BODY
 #define SFEM_NO_MODES
+#define SFEM_NO_SMOOTH
 #endif
 #ifdef SFEM_NO_BODY
 #undef SFEM_NO_DAMAGE
@@ -1177,6 +1188,7 @@ SFEM_DEF sfem_status sfem_model_combine(const sfem_model *model, sfem_real k, sf
 SFEM_DEF sfem_status sfem_model_assemble_stiffness(const sfem_model *model, const sfem_allocator *allocator,
                                                    sfem_matrix *out, sfem_error *err);
 
+#ifndef SFEM_NO_SMOOTH
 /* Of smooth tets; all zero for linear ones. least K0 <= K <= K0 in the sense of energies. */
 typedef struct sfem_smooth_info {
     sfem_int stars, patches;
@@ -1186,6 +1198,7 @@ typedef struct sfem_smooth_info {
 SFEM_DEF sfem_smooth_info sfem_model_smooth_info(const sfem_model *model);
 /* [tets] the patch of each tet, from 0; NULL for linear tets. */
 SFEM_DEF const sfem_int *sfem_model_smooth_patch(const sfem_model *model);
+#endif
 
 /* y = K x, M x or D x; arrays [nodes][3], y must not be x. */
 SFEM_DEF void sfem_model_multiply_stiffness(const sfem_model *model, const sfem_real *x, sfem_real *y,
@@ -1226,12 +1239,14 @@ SFEM_DEF void sfem_model_tangent(const sfem_model *model, const sfem_real *u, sf
  * NULL. Costs one sfem_law_stress a tet; allocates nothing. */
 SFEM_DEF void sfem_model_stress(const sfem_model *model, const sfem_real *u, sfem_real *stress,
                                 sfem_real *von_mises);
+#ifndef SFEM_NO_SMOOTH
 /* Of smooth tets the stress of a tet is the mean of the shear stresses of its nodes' averaged gradients and the volume
  * part of its patch. This gives it at the nodes [nodes][6], where surfaces and bending are the better for it: the
  * shear stress there and the mean volume part of the patches around. pressure [patches] (sfem_model_smooth_patch), Pa,
  * positive in compression: -tr(stress)/3 of a patch's mean gradient. Either may be NULL. Allocates nothing. */
 SFEM_DEF void sfem_model_smooth_stress(const sfem_model *model, const sfem_real *u, sfem_real *node_stress,
                                        sfem_real *pressure);
+#endif
 /* 1/2 u.K u, J, summed from the tets' own strains. */
 SFEM_DEF sfem_real sfem_model_elastic_energy(const sfem_model *model, const sfem_real *u);
 
@@ -16856,6 +16871,7 @@ SFEMI_BLOCKS_KERNEL(f, 2, 1)
 static const sfemi_blocks_kernel sfemi_blocks_path[][2] = SFEMI_PATHS(SFEMI_K); /* SFEM_DOUBLE, SFEM_MIXED */
 #undef SFEMI_K
 
+#ifndef SFEM_NO_SMOOTH
 /* ---- the same for cells of smooth tets (>>smooth), whose G are known: SFEMI_LANES of one law ---- */
 
 /* In: lambda, mu and the stabilisation 2 a mu, each times the volume, and G in p [9][SFEMI_LANES]. Out: P times the
@@ -16923,6 +16939,7 @@ SFEMI_CELLS_KERNEL(f, 2, 1)
 #define SFEMI_K(p) {sfemi_cells_d_##p, sfemi_cells_f_##p}
 static const sfemi_cells_kernel sfemi_cells_path[][2] = SFEMI_PATHS(SFEMI_K); /* SFEM_DOUBLE, SFEM_MIXED */
 #undef SFEMI_K
+#endif
 
 #ifndef SFEM_NO_BODY
 /* Lanes without a matrix, and where over is 0, get the unit matrix. */
@@ -17013,6 +17030,9 @@ static const sfemi_polars_kernel sfemi_polars_path[] = SFEMI_PATHS(SFEMI_K);
  *    of K, and conjugate gradients with it as preconditioner need a bounded number of iterations.
  * ============================================================================================ */
 
+#define SFEMI_NODE_TASK 2048 /* nodes a task */
+
+#ifndef SFEM_NO_SMOOTH
 /* What a_s is where the star allows it. Measured on cantilevers of 4x1x1, 8x2x2 and 16x4x4 cells, nu 0.3 to 0.499:
  * parts of the converged deflection are 0.87 to 1.06, 1.01 to 1.12, 1.03 to 1.07; with 0.15 0.78 to 0.94, 0.94 to
  * 1.05, 1.01 to 1.05. */
@@ -17028,7 +17048,6 @@ static const sfemi_polars_kernel sfemi_polars_path[] = SFEMI_PATHS(SFEMI_K);
 #define SFEMI_SWEEP 4096     /* bins of an axis in which tets are sorted, at most; as large as */
 #define SFEMI_SWEEP_CELL 5   /* mean tets */
 #define SFEMI_CELL_TASK 16   /* groups of SFEMI_LANES cells a task */
-#define SFEMI_NODE_TASK 2048 /* nodes a task */
 
 typedef struct sfemi_smooth {
     sfem_int cells, groups;    /* cells and the empty ones that fill up groups of one law; first the stars */
@@ -17962,6 +17981,39 @@ static void sfemi_smooth_pattern(const sfemi_smooth *s, sfem_int first, sfem_int
     }
 }
 
+#else /* no model has any: the same for NULL, the rest is never called */
+typedef struct sfemi_smooth {
+    sfem_int star_groups;
+    const sfem_real *lambda, *soft;
+    sfem_real poisson;
+} sfemi_smooth;
+static size_t sfemi_smooth_work_size(const sfemi_smooth *s, sfem_int nodes) { (void)s, (void)nodes; return 0; }
+static void sfemi_smooth_multiply(const sfemi_smooth *s, const sfem_real *lambda, sfem_int nodes, const sfem_real *x,
+                                  sfem_real *y)
+{
+    (void)s, (void)lambda, (void)nodes, (void)x, (void)y;
+}
+static sfem_real sfemi_smooth_energy(const sfemi_smooth *s, sfem_int nodes, const sfem_real *x)
+{
+    (void)s, (void)nodes, (void)x;
+    return 0;
+}
+static void sfemi_smooth_add_patches(const sfemi_smooth *s, const sfem_real *u, sfem_tangent kind,
+                                     const sfem_matrix *to_add)
+{
+    (void)s, (void)u, (void)kind, (void)to_add;
+}
+static void sfemi_smooth_assemble(const sfemi_smooth *s, const sfem_real *u, sfem_tangent kind, sfem_matrix *out)
+{
+    (void)s, (void)u, (void)kind, (void)out;
+}
+static void sfemi_smooth_pattern(const sfemi_smooth *s, sfem_int first, sfem_int n, sfem_int *mark, sfem_int *row,
+                                 sfem_int *col)
+{
+    (void)s, (void)first, (void)n, (void)mark, (void)row, (void)col;
+}
+#endif /* SFEM_NO_SMOOTH */
+
 /* ============================================================================================
  * >>fem   assembly, mass, damping, forces, tangents, loads, stress
  *
@@ -18075,6 +18127,11 @@ static sfem_status sfemi_fem_check_material(const sfem_material *m, sfem_int ind
         return sfemi_fail(err, SFEM_BAD_ARGUMENT,
                           "material %d: smooth tets need a Poisson's ratio of at least 0, not %g: take SFEM_TET_LINEAR",
                           (int)index, m->poisson);
+#ifdef SFEM_NO_SMOOTH
+    if (m->tet == SFEM_TET_SMOOTH)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT,
+                          "material %d: smooth tets: the library is compiled with SFEM_NO_SMOOTH", (int)index);
+#endif
     return SFEM_OK;
 }
 
@@ -18468,6 +18525,7 @@ static void sfemi_fem_destroy(sfem_model *model)
     sfemi_pool_free(&model->pool);
 }
 
+#ifndef SFEM_NO_SMOOTH
 /* The first of the definition's materials that is as elastic as that of a tet: averages do not stop between equal
  * ones. */
 static sfem_int sfemi_fem_elastic_of(const sfem_model_def *def, sfem_int tet)
@@ -18494,6 +18552,13 @@ done:
     sfemi_delete(&model->allocator, of);
     return status;
 }
+#else
+static sfem_status sfemi_fem_smooth(sfem_model *model, const sfem_model_def *def, sfem_error *err)
+{
+    (void)model, (void)def, (void)err;
+    return SFEM_OK;
+}
+#endif
 
 static sfem_status sfemi_fem_allocate(sfem_model *model, const sfem_model_def *def, sfem_error *err)
 {
@@ -18608,6 +18673,7 @@ SFEM_DEF sfem_real sfem_model_total_mass(const sfem_model *model)
     return model->total_mass;
 }
 
+#ifndef SFEM_NO_SMOOTH
 SFEM_DEF sfem_smooth_info sfem_model_smooth_info(const sfem_model *model)
 {
     SFEM_ASSERT(model);
@@ -18620,6 +18686,13 @@ SFEM_DEF sfem_smooth_info sfem_model_smooth_info(const sfem_model *model)
     info.bytes = model->smooth->bytes;
     return info;
 }
+
+SFEM_DEF const sfem_int *sfem_model_smooth_patch(const sfem_model *model)
+{
+    SFEM_ASSERT(model);
+    return model->smooth ? model->smooth->patch : NULL;
+}
+#endif
 
 /* ---- units: what is seldom meant. The softest gels have some 10 Pa and rubber foam 5 to 50 kg/m^3, the stiffest and
  * densest stuff is diamond (1.2e12 Pa) and osmium (22 600 kg/m^3). ---- */
@@ -18769,12 +18842,6 @@ SFEM_DEF sfem_status sfem_model_combine(const sfem_model *model, sfem_real k, sf
 done:
     sfem_matrix_free(&a);
     return status;
-}
-
-SFEM_DEF const sfem_int *sfem_model_smooth_patch(const sfem_model *model)
-{
-    SFEM_ASSERT(model);
-    return model->smooth ? model->smooth->patch : NULL;
 }
 
 SFEM_DEF sfem_status sfem_model_assemble_stiffness(const sfem_model *model, const sfem_allocator *allocator,
@@ -19010,6 +19077,7 @@ SFEM_DEF size_t sfem_model_work_size(const sfem_model *model)
     return 4 * (size_t)c->copies + 2 * (size_t)c->count + 4 * (size_t)c->most * (size_t)sfemi_forces_tasks(c);
 }
 
+#ifndef SFEM_NO_SMOOTH
 /* The tets' own rotations, and how many are inverted, of smooth tets: where the caller looks, a step does not. */
 static void sfemi_fem_smooth_tets(const sfem_model *model, const sfemi_forces *ask)
 {
@@ -19047,6 +19115,13 @@ static sfem_real sfemi_fem_smooth_forces(const sfem_model *model, const sfemi_fo
     sfemi_fem_smooth_tets(model, ask);
     return sfemi_smooth_run(&job, ask->precision, ask->work, ask->exec);
 }
+#else
+static sfem_real sfemi_fem_smooth_forces(const sfem_model *model, const sfemi_forces *ask)
+{
+    (void)model, (void)ask;
+    return 0;
+}
+#endif
 
 /* Energy and internal force of the elements of `block`: the model's, or a body's own copy in which tets that it treats
  * otherwise are masked. */
@@ -19202,6 +19277,7 @@ static void sfemi_fem_cauchy(const sfem_model *model, sfem_int e, sfem_real g[4]
     sfemi_fem_cauchy_of((sfem_law)model->law[e], model->lambda[e], model->mu[e], f, s);
 }
 
+#ifndef SFEM_NO_SMOOTH
 /* s += weight times the stress that Lame's parameters make of the gradient of cell c. */
 static void sfemi_fem_add_cell_stress(const sfem_model *model, sfem_int c, const sfem_real *u, sfem_real lambda,
                                       sfem_real mu, sfem_real weight, sfem_real s[6])
@@ -19263,6 +19339,12 @@ SFEM_DEF void sfem_model_smooth_stress(const sfem_model *model, const sfem_real 
         for (j = 0; j < 6 && volume > 0; ++j) node_stress[6 * (size_t)i + (size_t)j] /= volume;
     }
 }
+#else
+static void sfemi_fem_smooth_stress(const sfem_model *model, sfem_int e, const sfem_real *u, sfem_real s[6])
+{
+    (void)model, (void)e, (void)u, (void)s;
+}
+#endif
 
 SFEM_DEF void sfem_model_stress(const sfem_model *model, const sfem_real *u, sfem_real *stress,
                                 sfem_real *von_mises)

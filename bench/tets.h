@@ -112,7 +112,7 @@ static void tets_solve(tets_case *c, sfem_tet tet)
     sfem_error err;
     int a, k;
     bench_must(sfem_body_create(model, &def, &body, &err), &err);
-    bench_must(sfem_body_set_force(body, c->force, &err), &err);
+    bench_must(sfem_body_set_lasting_force(body, c->force, &err), &err);
     bench_must(sfem_body_solve_static(body, &err), &err);
     c->iterations = sfem_body_newton(body).iterations;
     memcpy(c->u, sfem_body_displacement(body), 3 * (size_t)c->mesh.nodes * sizeof *c->u);

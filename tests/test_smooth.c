@@ -833,7 +833,7 @@ static double cantilever(const sfem_mesh *mesh, sfem_material material, int exac
             memmove(surface.tri + 3 * n++, t, 3 * sizeof *t);
     }
     sfem_add_traction(mesh, NULL, n, surface.tri, traction, f);
-    assert_ok(sfem_body_set_force(body, f, &err), err);
+    assert_ok(sfem_body_set_lasting_force(body, f, &err), err);
     assert_ok(sfem_body_solve_static(body, &err), err);
     if (info) *info = sfem_body_newton(body);
     for (i = 0; i < 3 * mesh->nodes; ++i) work += f[i] * sfem_body_displacement(body)[i];
