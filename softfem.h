@@ -26,6 +26,7 @@
  *     number, select    sfem_mesh_renumber, _components, _remove_unused; sfem_mesh_pick_ray, _locate
  *     make a model      sfem_default_material, sfem_default_model_def, sfem_model_create, _free; sfem_model_advice
  *     matrices, forces  sfem_model_stiffness, _combine, _forces, _tangent; sfem_add_gravity, _traction, _pressure
+ *                       of smooth tets sfem_model_assemble_stiffness, _smooth_info, _smooth_patch
  *     make a body       sfem_default_body_def, sfem_body_create, _free; sfem_body_place, _set_state
  *     step              sfem_body_step, or _predict, _solve, _finish; sfem_body_prepare; sfem_body_is_asleep, _wake
  *     rest              sfem_body_solve_static
@@ -33,7 +34,7 @@
  *     hold and grab     sfem_body_set_pins, _move_pin; sfem_mesh_near; sfem_body_grab_node, _grab_point, _grab_region
  *                       sfem_body_move_handle, _release_handle
  *     look at           sfem_body_positions, _velocities, _displacement, _energy, _get_info, _reactions
- *                       sfem_body_handle_force; sfem_model_stress
+ *                       sfem_body_handle_force; sfem_model_stress, _smooth_stress
  *     render            sfem_mesh_surface, sfem_body_to_floats, sfem_body_normals; sfem_surface_normals
  *                       sfem_embed_create, sfem_embed_to_floats, sfem_embed_break
  *     cut and break     sfem_default_damage_def; sfem_body_cut, _break_edge, _heal; sfem_body_fracture, _breaks
@@ -145,7 +146,7 @@
  *     SFEM_ENABLE_REDUCED, SFEM_ENABLE_LINK (with reduced models). SFEM_ENABLE_REDUCED alone plays reduced models that were saved; with
  *     SFEM_ENABLE_MODES it makes them
  *
- * LIMITS. Linear (4-node) tetrahedra. Node and tet counts below 2^31. No contact, no remeshing.
+ * LIMITS. 4-node tetrahedra: linear ones, which lock, or smooth ones, which do not (sfem_tet) but cannot break yet. Node and tet counts below 2^31. No contact, no remeshing.
  */
 #ifndef SOFTFEM_H
 #define SOFTFEM_H
@@ -18741,8 +18742,8 @@ static void sfemi_advice_materials(const sfem_model *m, sfem_real across, sfemi_
     if (soft * 9.81 * across > 1)
         sfemi_advice_add(a, "a body of %.4g m with this density and modulus sinks into itself: its own weight is %.2g times the modulus",
                          across, soft * 9.81 * across);
-    if (poisson > 0.49)
-        sfemi_advice_add(a, "a Poisson ratio is %.4g: linear tets are far too stiff above 0.49", poisson);
+    if (poisson > 0.49 && !m->smooth)
+        sfemi_advice_add(a, "a Poisson ratio is %.4g: linear tets are far too stiff above 0.49, SFEM_TET_SMOOTH is not", poisson);
 }
 
 SFEM_DEF int sfem_model_advice(const sfem_model *model, sfem_real h, char *text, size_t size)
