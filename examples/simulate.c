@@ -29,6 +29,8 @@ static const ex_option table[] = {
     {"--cells", "NX,NY,NZ", "20,4,4", "cells of the bar, five tets each"},
     {"--material", "linear|corotational|stvk|neohookean", "corotational",
      "the law of the material"},
+    {"--tet", "linear|smooth", "linear",
+     "linear tets lock in bending and as nu nears 0.5, smooth ones do not"},
     {"--young", "E", "1.5e5", "Young's modulus, Pa"},
     {"--poisson", "NU", "0.3", "Poisson's ratio"},
     {"--density", "RHO", "1000", "kg/m^3; the three are of all tets, else the file's constants, where it has them"},
@@ -289,6 +291,7 @@ static sfem_material material_of_all(const run *r)
     m.mass_damping = rayleigh[0];
     m.stiffness_damping = rayleigh[1];
     m.law = (sfem_law)ex_choice(&r->o, "--material"); /* in the order of the enumeration */
+    m.tet = (sfem_tet)ex_choice(&r->o, "--tet");      /* likewise */
     return m;
 }
 

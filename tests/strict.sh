@@ -11,9 +11,9 @@ BUILD=${BUILD:-build/strict}
 COMPILERS=${COMPILERS:-gcc clang}
 STANDARDS='c99 c11 c17 c++11 c++17 c++20'
 SWITCHES='plain SFEM_STATIC O2 O3 m32 openmp SFEM_NO_STDIO SFEM_NO_DISPATCH'
-PARTS='SFEM_NO_MESHIO SFEM_NO_MESHER SFEM_NO_EMBED SFEM_NO_BODY SFEM_NO_DAMAGE SFEM_NO_NEWTON SFEM_NO_LINK SFEM_NO_REDUCED SFEM_NO_MODES
-    SFEM_NO_MODEL SFEM_MINIMAL SFEM_ENABLE_MESHIO SFEM_ENABLE_MESHER SFEM_ENABLE_EMBED SFEM_ENABLE_MODEL SFEM_ENABLE_BODY
-    SFEM_ENABLE_DAMAGE SFEM_ENABLE_NEWTON SFEM_ENABLE_MODES SFEM_ENABLE_REDUCED SFEM_ENABLE_LINK SFEM_DEF'
+PARTS='SFEM_NO_MESHIO SFEM_NO_MESHER SFEM_NO_EMBED SFEM_NO_BODY SFEM_NO_DAMAGE SFEM_NO_NEWTON SFEM_NO_SMOOTH SFEM_NO_LINK SFEM_NO_REDUCED
+    SFEM_NO_MODES    SFEM_NO_MODEL SFEM_MINIMAL SFEM_ENABLE_MESHIO SFEM_ENABLE_MESHER SFEM_ENABLE_EMBED SFEM_ENABLE_MODEL SFEM_ENABLE_BODY
+    SFEM_ENABLE_DAMAGE SFEM_ENABLE_NEWTON SFEM_ENABLE_SMOOTH SFEM_ENABLE_MODES SFEM_ENABLE_REDUCED SFEM_ENABLE_LINK SFEM_DEF'
 WARNINGS='-Werror -Wall -Wextra -Wpedantic -Wconversion -Wshadow'
 
 # command COMPILER STANDARD: what compiles that, without files; nothing if it is not installed
@@ -294,6 +294,14 @@ int main(int count, char **argument)
         if (sfem_model_create(&def, &model, 0) != SFEM_OK) return 1;
         good &= steps(model) && bends(model, path);
         sfem_model_free(model);
+        def.material.tet = SFEM_TET_SMOOTH;
+#ifdef SFEM_NO_SMOOTH
+        good &= sfem_model_create(&def, &model, 0) == SFEM_BAD_ARGUMENT;
+#else
+        if (sfem_model_create(&def, &model, 0) != SFEM_OK) return 1;
+        good &= sfem_model_smooth_info(model).patches > 0;
+        sfem_model_free(model);
+#endif
     }
 #else
     good &= bends(0, path);
@@ -310,7 +318,7 @@ END
 # switches that contradict each other are refused with a sentence
 for compiler in $COMPILERS; do
     command=$(command_for "$compiler" c99) || continue
-    for switches in SFEM_NO_REDUCED 'SFEM_NO_MODEL -DSFEM_ENABLE_MODES' 'SFEM_NO_MODEL -DSFEM_ENABLE_BODY' \
+    for switches in SFEM_NO_REDUCED 'SFEM_NO_MODEL -DSFEM_ENABLE_MODES' 'SFEM_NO_MODEL -DSFEM_ENABLE_BODY' 'SFEM_NO_MODEL -DSFEM_ENABLE_SMOOTH' 'SFEM_ENABLE_SMOOTH -DSFEM_NO_SMOOTH' \
         'SFEM_ENABLE_EMBED -DSFEM_NO_EMBED' 'SFEM_ENABLE_LINK -DSFEM_NO_LINK' 'SFEM_ENABLE_BODY -DSFEM_NO_BODY' 'SFEM_ENABLE_DAMAGE -DSFEM_NO_BODY' \
         'SFEM_ENABLE_DAMAGE -DSFEM_NO_DAMAGE' 'SFEM_ENABLE_NEWTON -DSFEM_NO_NEWTON' 'SFEM_ENABLE_MESHER -DSFEM_NO_MESHER' \
         'SFEM_MINIMAL -DSFEM_ENABLE_MODES -DSFEM_NO_MODES' 'SFEM_ENABLE_MODEL -DSFEM_NO_MODEL' \
