@@ -21511,6 +21511,7 @@ typedef struct sfemi_equation {
     sfem_real before, after; /* of w and w' in the velocity that is damped */
     int fallback;            /* momenta are put right when it is solved, not by each step */
     sfem_real moving;        /* in a fallback: kinetic energy at the start. S may be that of a collapse long past */
+    int touches;             /* >>contact: impulses are among the loads, and change */
 } sfemi_equation;
 
 /* The equation of the step under way, and the forces of the past in it: guard.known. */
@@ -21525,7 +21526,7 @@ static void sfemi_correct_open(sfem_body *b, sfemi_equation *q)
     const sfem_real k3 = h1 * (0.5 - gamma + beta) / t.d;
     const sfem_real now = k1 * a + k2 * (h1 > 0 ? 1 - a : 1), past = h1 > 0 ? k2 * a + k3 * (1 - a) : 0;
     size_t i;
-    q->fallback = 0;
+    q->fallback = q->touches = 0;
     q->moving = 0;
     q->h = h2;
     q->d = t.d;
@@ -22164,6 +22165,8 @@ static sfem_real sfemi_correct_search(sfem_body *b, const sfemi_equation *q, sfe
         for (i = 0; i < n; ++i) {
             const sfem_real d = g->w[i] - b->state.w[i];
             most += b->model->node_mass[i / 3] * d * d / (2 * q->d);
+            if (q->touches && b->model->node_mass[i / 3] > 0) /* what these can lower it by */
+                most += b->kick[i] * b->kick[i] / (2 * q->d * b->model->node_mass[i / 3]);
         }
         if (slope > 2 * most) length = 2 * most / slope; /* tets stretched a thousandfold are 1e12 times as stiff */
     }
@@ -22706,6 +22709,7 @@ static sfem_real sfemi_safeguard_open_fallback(sfem_body *b, sfemi_equation *q)
     const sfemi_safeguard_energies there = sfemi_safeguard_measure(b, b->state.u, b->state.w, b->state.f, head->psi, b->step.h);
     size_t i;
     q->fallback = 1;
+    q->touches = 0;
     q->moving = there.kinetic + there.floor;
     q->h = q->d = b->step.h;
     q->end = q->after = 1;
@@ -25154,6 +25158,7 @@ typedef struct sfemi_touch { /* a body */
     sfemi_equation q;
     sfem_real tolerance, first, last, rate, cheap, decrement;
     sfem_real change, size;    /* J, of the impulses in the last system, and theirs */
+    sfem_real expected;        /* J, dl.G dl of all rows together */
     sfem_real budget;
     const sfem_factor *factor; /* of the corrections */
     sfem_real *owed;           /* [6 pieces] momenta of impulses that w' does not have yet */
@@ -25183,12 +25188,12 @@ struct sfem_contact {
     sfem_int rows, list_room;
     sfemi_contact_node *node;
     sfem_int nodes, node_room;
-    sfem_real *v;          /* [nodes][3] */
+    sfem_real *v, *v0;     /* [nodes][3] after and before the sweeps */
     float *g;
-    size_t g_room, v_room;
+    size_t g_room, v_room, v0_room;
     /* scratch, [mesh nodes][3] of the largest body */
-    sfem_real *w, *x, *rhs, *work;
-    size_t vector_room, x_room, rhs_room, work_room;
+    sfem_real *w, *x, *y, *rhs, *work;
+    size_t vector_room, x_room, y_room, rhs_room, work_room;
     sfem_real *lambda;
     size_t lambda_room;
 };
@@ -25857,6 +25862,7 @@ static sfem_status sfemi_contact_assemble(sfem_contact *c, sfemi_island island, 
     c->nodes = 0;
     SFEMI_CONTACT_LIST(c, c->node, c->node_room, SFEMI_CONTACT_PARTS * *count + 1);
     SFEMI_CONTACT_ROOM(c, c->v, c->v_room, 3 * (SFEMI_CONTACT_PARTS * (size_t)*count + 1));
+    SFEMI_CONTACT_ROOM(c, c->v0, c->v0_room, 3 * (SFEMI_CONTACT_PARTS * (size_t)*count + 1));
     for (i = island.first; i < island.first + island.count; ++i) {
         sfemi_touch *t = c->touch + i;
         const sfem_int first = c->nodes;
@@ -26038,7 +26044,7 @@ static sfem_status sfemi_contact_press(sfem_contact *c, sfemi_island island, int
     sfem_status status = SFEM_OK;
     sfem_int count, i;
     int k, a;
-    for (i = island.first; i < island.first + island.count; ++i) c->touch[i].change = c->touch[i].size = 0;
+    for (i = island.first; i < island.first + island.count; ++i) c->touch[i].change = c->touch[i].size = c->touch[i].expected = 0;
     SFEMI_TRY(sfemi_contact_assemble(c, island, &count, err));
     if (!count) return SFEM_OK;
     for (i = 0; i < c->nodes; ++i) {
@@ -26058,6 +26064,7 @@ static sfem_status sfemi_contact_press(sfem_contact *c, sfemi_island island, int
         for (j = 0; j < t->rows; ++j)
             sfemi_contact_set_up_row(c, t, t->row + j, t->body->step.h, sfemi_contact_span(t));
     }
+    memcpy(c->v0, c->v, 3 * (size_t)c->nodes * sizeof *c->v);
     sfemi_contact_sweep(c, count);
     for (i = island.first; i < island.first + island.count; ++i) {
         sfemi_touch *t = c->touch + i;
@@ -26071,6 +26078,12 @@ static sfem_status sfemi_contact_press(sfem_contact *c, sfemi_island island, int
                 row->change[k] = l - row->impulse[k];
             }
             for (a = 0; a < 3; ++a) dl[a] = sfemi_dot3(row->axes + 3 * a, row->change);
+            for (k = 0; k < row->parts; ++k)
+                for (a = 0; a < 3; ++a) {
+                    const size_t at = 3 * (size_t)row->at[k];
+                    const sfem_real dv[3] = {c->v[at] - c->v0[at], c->v[at + 1] - c->v0[at + 1], c->v[at + 2] - c->v0[at + 2]};
+                    t->expected += dl[a] * sfemi_dot3(row->rotated[k] + 3 * a, dv);
+                }
             for (a = 0; a < 3; ++a) {
                 t->change += dl[a] * sfemi_dot3(row->d + 3 * a, dl) / 2;
                 t->size += row->l[a] * sfemi_dot3(row->d + 3 * a, row->l) / 2;
@@ -26081,15 +26094,35 @@ done:
     return status;
 }
 
-/* Takes the changes of the last system: c->x = J^T dl, entered in the step. */
-static void sfemi_contact_take_change(sfem_contact *c, sfemi_touch *t)
+/* Takes so much of the changes of the last system: c->x = J^T dl, entered in the step. */
+static void sfemi_contact_take_change(sfem_contact *c, sfemi_touch *t, sfem_real part)
 {
     sfem_int i;
     int k;
-    sfemi_contact_transpose(t, 1, c->x);
     for (i = 0; i < t->rows; ++i)
-        for (k = 0; k < 3; ++k) t->row[i].impulse[k] += t->row[i].change[k];
+        for (k = 0; k < 3; ++k) {
+            t->row[i].change[k] *= part;
+            t->row[i].impulse[k] += t->row[i].change[k];
+        }
+    sfemi_contact_transpose(t, 1, c->x);
     sfemi_contact_book(t, c->x);
+}
+
+/* Of the response `after` - `before` to the changes dl of impulses, against what G has for it: dl.J dw/(dl.G dl). Above 1
+ * the change would overshoot, as in a body so compressed that it is softer than at rest: it is divided by that, and stays
+ * in its cones. */
+static sfem_real sfemi_contact_excess_of(const sfemi_touch *t, const sfem_real *before, const sfem_real *after)
+{
+    sfem_real does = 0;
+    sfem_int i;
+    int k, a;
+    for (i = 0; i < t->rows; ++i)
+        for (k = 0; k < t->row[i].parts; ++k)
+            for (a = 0; a < 3; ++a) {
+                const size_t at = 3 * (size_t)t->row[i].node[k] + (size_t)a;
+                does += t->row[i].weight[k] * t->row[i].change[a] * (after[at] - (before ? before[at] : 0));
+            }
+    return t->expected > 0 && does > t->expected ? does / t->expected : 1;
 }
 
 /* ---- the trial ---- */
@@ -26126,6 +26159,7 @@ static sfem_status sfemi_contact_try(sfem_contact *c, sfem_int index, sfem_error
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     sfemi_island island;
     sfem_status status = SFEM_OK;
+    sfem_real part;
     int round;
     island.first = index;
     island.count = 1;
@@ -26140,9 +26174,12 @@ static sfem_status sfemi_contact_try(sfem_contact *c, sfem_int index, sfem_error
         if (!t->rows) break;
         SFEMI_TRY(sfemi_contact_press(c, island, 1, err));
         if (!(t->change > 1e-12 * t->size)) break;
-        sfemi_contact_take_change(c, t);
-        sfemi_contact_respond(c, t, c->x);
-        for (i = 0; i < n; ++i) b->acc[i] += c->x[i] / b->step.d;
+        sfemi_contact_transpose(t, 1, c->x);
+        memcpy(c->y, c->x, n * sizeof *c->y);
+        sfemi_contact_respond(c, t, c->y);
+        part = 1 / sfemi_contact_excess_of(t, NULL, c->y);
+        sfemi_contact_take_change(c, t, part);
+        for (i = 0; i < n; ++i) b->acc[i] += part * c->y[i] / b->step.d;
         SFEMI_TRY(sfemi_method_check_acceleration(b, err));
     }
     b->phase = SFEMI_SOLVED;
@@ -26153,9 +26190,9 @@ done:
 
 /* ---- corrections ---- */
 
-/* The momenta of c->x, impulses that change, are owed to the free pieces of a corrected step: its equation has no
- * rigid part. */
-static void sfemi_contact_owe(const sfem_contact *c, sfemi_touch *t)
+/* The rigid motions of c->x, impulses that change, are owed to the free pieces of a corrected step, whose equation has no
+ * rigid part: owed += scale times them. */
+static void sfemi_contact_owe(const sfem_contact *c, sfemi_touch *t, sfem_real scale)
 {
     sfem_body *b = t->body;
     sfem_int k;
@@ -26163,7 +26200,7 @@ static void sfemi_contact_owe(const sfem_contact *c, sfemi_touch *t)
     if (!sfemi_correct_projects(b, &t->q)) return;
     sfemi_rotated_motion(b, b->state.u, c->x, 0);
     for (k = 0; k < b->rotated.pieces; ++k)
-        for (a = 0; a < 6; ++a) t->owed[6 * k + a] += b->rotated.piece[k].motion[a] / b->factor->key.cm;
+        for (a = 0; a < 6; ++a) t->owed[6 * k + a] += scale * b->rotated.piece[k].motion[a] / b->factor->key.cm;
 }
 
 /* x += scale times the rigid motions owed. */
@@ -26224,26 +26261,40 @@ static void sfemi_contact_aim(sfemi_touch *t)
     t->done = 0;
 }
 
-/* After the cones: the direction with their impulses, c->x = J^T dl. */
+/* After the cones: the direction with their impulses. */
 static void sfemi_contact_redirect(sfem_contact *c, sfemi_touch *t)
 {
     sfem_body *b = t->body;
     sfemi_safeguard *g = &b->safeguard;
     const sfem_real over = 1 / sfemi_contact_span(t);
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    sfem_real excess;
     size_t i;
-    sfemi_contact_take_change(c, t);
-    sfemi_contact_owe(c, t);
+    sfemi_contact_transpose(t, 1, c->x);
     for (i = 0; i < n; ++i) {
-        g->external[i] += over * c->x[i];
-        g->grad[i] -= b->mask[i / 3] >> (i % 3) & 1 ? 0 : over * c->x[i];
+        c->y[i] = b->mask[i / 3] >> (i % 3) & 1 ? 0 : over * c->x[i];
+        c->w[i] = -g->dir[i];
     }
     if (sfemi_correct_projects(b, &t->q)) {
-        sfemi_rotated_motion(b, b->state.u, g->grad, 0);
-        sfemi_rotated_add_motion(b, b->state.u, -1, 1, g->grad);
+        sfemi_rotated_motion(b, b->state.u, c->y, 0);
+        sfemi_rotated_add_motion(b, b->state.u, -1, 1, c->y);
     }
-    t->decrement = sfemi_correct_direction(b, &t->q, t->factor);
+    for (i = 0; i < n; ++i) g->grad[i] -= c->y[i];
+    (void)sfemi_correct_direction(b, &t->q, t->factor);
+    sfemi_contact_owe(c, t, 1);
     sfemi_contact_pay(t, -1, g->dir);
+    for (i = 0; i < n; ++i) g->other[i] = -g->dir[i];
+    excess = sfemi_contact_excess_of(t, c->w, g->other);
+    if (excess > 1) {
+        sfemi_contact_owe(c, t, 1 / excess - 1);
+        for (i = 0; i < n; ++i) {
+            g->grad[i] += (1 - 1 / excess) * c->y[i];
+            g->dir[i] = -c->w[i] + (g->dir[i] + c->w[i]) / excess;
+        }
+    }
+    sfemi_contact_take_change(c, t, 1 / excess);
+    for (i = 0; i < n; ++i) g->external[i] += over * c->x[i];
+    t->decrement = t->q.h * sfemi_correct_dot(g->dir, g->grad, n);
 }
 
 /* One correction of a body, along guard.dir. Sets done where no more is to be gained. */
@@ -26291,6 +26342,7 @@ static sfem_status sfemi_contact_iterate(sfem_contact *c, sfemi_island island, i
             if (t->done) continue;
             SFEMI_TRY(sfemi_contact_detect(c, t, t->body->safeguard.w, t->body->step.h, &found, err));
             t->decrement = sfemi_correct_direction(t->body, &t->q, t->factor);
+            sfemi_contact_pay(t, -1, t->body->safeguard.dir);
         }
         SFEMI_TRY(sfemi_contact_press(c, island, 0, err));
         for (i = island.first, busy = 0; i < island.first + island.count; ++i) {
@@ -26319,15 +26371,35 @@ static void sfemi_contact_settle_debts(sfemi_touch *t)
     sfemi_correct_residual(b, &t->q, b->safeguard.w, b->safeguard.f, b->safeguard.grad);
 }
 
-/* S, the energy in motion, has what the contacts do and what the body brings to them: a free fall has none. */
-static void sfemi_contact_raise_scale(const sfem_contact *c, sfemi_touch *t)
+/* The mean normal of the rows by their impulses, and the obstacles' speed along it. */
+static sfem_real sfemi_contact_mean_normal(const sfemi_touch *t, sfem_real normal[3])
+{
+    sfem_real sum = 0, speed = 0, length;
+    sfem_int i;
+    int a;
+    memset(normal, 0, 3 * sizeof *normal);
+    for (i = 0; i < t->rows; ++i) {
+        const sfemi_row *row = t->row + i;
+        const sfem_real l = sfemi_dot3(row->axes, row->impulse);
+        for (a = 0; a < 3; ++a) normal[a] += l * row->axes[a];
+        speed += l * sfemi_dot3(row->axes, row->speed);
+        sum += l;
+    }
+    length = sqrt(sfemi_dot3(normal, normal));
+    for (a = 0; length > 0 && a < 3; ++a) normal[a] /= length;
+    return sum > 0 ? speed / sum : 0;
+}
+
+/* S, the energy in motion, has what the contacts do, and for the safeguard what the body brings to them, along their
+ * normal: a free fall has none. */
+static void sfemi_contact_raise_scale(sfemi_touch *t, int arriving)
 {
     sfem_body *b = t->body;
     const sfem_real *w = b->state.w, *w1 = b->safeguard.w;
-    sfem_real work = 0, half = 0, fall = 0;
+    sfem_real work = 0, half = 0, fall = 0, normal[3];
+    const sfem_real speed = sfemi_contact_mean_normal(t, normal);
     sfem_int i, p;
     int k, a;
-    (void)c;
     for (i = 0; i < t->rows; ++i)
         for (k = 0; k < t->row[i].parts; ++k)
             for (a = 0; a < 3; ++a) {
@@ -26336,14 +26408,15 @@ static void sfemi_contact_raise_scale(const sfem_contact *c, sfemi_touch *t)
                 work += l * (w[at] + w1[at]) / 2;
                 half += l * (w1[at] - w[at]) / 2;
             }
-    for (k = 0; k < 2 && sfemi_rotated_projects(b); ++k) {
-        sfemi_rotated_momentum(b, b->state.u, k ? w1 : w, 1);
-        for (p = 0; p < b->rotated.pieces; ++p)
-            if (!b->rotated.piece[p].held)
-                fall += (k ? -1 : 1) * sfemi_dot3(b->rotated.piece[p].motion, b->rotated.piece[p].motion) /
-                        (2 * b->rotated.piece[p].mass);
+    if (arriving && sfemi_rotated_projects(b)) {
+        sfemi_rotated_momentum(b, b->state.u, w, 1);
+        for (p = 0; p < b->rotated.pieces; ++p) {
+            const sfemi_piece *piece = b->rotated.piece + p;
+            const sfem_real v = sfemi_dot3(piece->motion, normal) / piece->mass - speed;
+            if (!piece->held) fall += piece->mass * v * v / 2;
+        }
     }
-    b->state.head->scale = fmax(b->state.head->scale, fmax(fmax(fabs(work), fabs(half)), fabs(fall)));
+    b->state.head->scale = fmax(b->state.head->scale, fmax(fmax(fabs(work), fabs(half)), fall));
 }
 
 /* Forces act in the budget over the half steps on both sides of the state. Impulses do l.(w + w')/2 whatever their lengths
@@ -26390,7 +26463,7 @@ static sfem_status sfemi_contact_correct(sfem_contact *c, sfemi_island island, s
             t->done = 1;
             continue;
         }
-        sfemi_contact_raise_scale(c, t);
+        sfemi_contact_raise_scale(t, 0);
         SFEMI_TRY(sfemi_contact_open(c, t, err));
         if (t->done) continue;
         if (head->estimate > 0 && head->estimate * t->cheap < 10 * b->def.accuracy * head->scale &&
@@ -26438,8 +26511,8 @@ static sfem_status sfemi_contact_fall_back(sfem_contact *c, sfemi_island island,
         sfemi_touch *t = c->touch + i;
         SFEMI_CONTACT_LIST(c, t->owed, t->owed_room, 6 * t->body->rotated.pieces);
         memset(t->owed, 0, 6 * (size_t)t->body->rotated.pieces * sizeof *t->owed);
-        t->tolerance = sfemi_safeguard_open_fallback(t->body, &t->q);
-        t->fallback = t->body->safeguard.rejected = 1;
+        t->tolerance = fmax(sfemi_safeguard_open_fallback(t->body, &t->q), 1e-4 * t->body->state.head->scale);
+        t->fallback = t->body->safeguard.rejected = t->q.touches = 1;
         t->factor = sfemi_body_active(t->body);
     }
     for (stage = 0, busy = 1; busy && stage < 2; ++stage) {
@@ -26470,6 +26543,21 @@ done:
     return status;
 }
 
+/* As sfemi_safeguard_accepts. Ec is of the step's end, the budget of its middle; the work of impulses from there on counts
+ * where it is positive only: where a body lifts off they have done it before. */
+static int sfemi_contact_accepts(sfemi_touch *t, sfemi_safeguard_energies *e, sfem_real *budget)
+{
+    sfem_body *b = t->body;
+    sfem_real *added = b->safeguard.added, half, scale;
+    if (sfemi_safeguard_accepts(b, e, budget)) return 1;
+    b->safeguard.added = b->kick;
+    half = sfemi_safeguard_outer_work(b, 0.5, 0, 0, 0) / sfemi_contact_span(t);
+    b->safeguard.added = added;
+    scale = sfemi_safeguard_in_motion(b, e);
+    return half < 0 && sfemi_finite(e->eb) && sfemi_finite(e->ec) && e->eb <= *budget + e->rounding + 0.02 * scale &&
+           e->ec <= *budget + sfemi_safeguard_step_work(b, 0) - half + e->rounding + 0.3 * scale;
+}
+
 /* Judges the steps of an island: all of its bodies are taken back where one makes energy. */
 static sfem_status sfemi_contact_judge(sfem_contact *c, sfemi_island island, sfem_error *err)
 {
@@ -26489,12 +26577,12 @@ static sfem_status sfemi_contact_judge(sfem_contact *c, sfemi_island island, sfe
         }
         other = sfemi_resume_falls_back(b, b->step.h);
         g->rejected = g->measured = 0;
-        if (b->scheme.rotates != SFEMI_CORRECTS) sfemi_contact_raise_scale(c, t);
+        sfemi_contact_raise_scale(t, 1);
         if (other) b->state.head->budget = b->state.head->last;
         if (!b->scheme.guarded && !other) continue;
         t->budget = b->state.head->budget;
         b->state.head->budget += sfemi_contact_impact_work(t);
-        g->measured = !other && sfemi_safeguard_accepts(b, &g->energies, &budget);
+        g->measured = !other && sfemi_contact_accepts(t, &g->energies, &budget);
         b->state.head->budget = t->budget;
         if (g->measured) t->budget = budget;
         rejected |= !g->measured;
@@ -26880,6 +26968,8 @@ SFEM_DEF void sfem_contact_free(sfem_contact *c)
     sfemi_delete(&al, c->list);
     sfemi_delete(&al, c->node);
     sfemi_delete(&al, c->v);
+    sfemi_delete(&al, c->v0);
+    sfemi_delete(&al, c->y);
     sfemi_delete(&al, c->g);
     sfemi_delete(&al, c->w);
     sfemi_delete(&al, c->x);
@@ -26968,6 +27058,7 @@ SFEM_DEF sfem_status sfem_contact_add_body(sfem_contact *c, sfem_body *body, con
     SFEMI_CONTACT_LIST(c, c->touch, c->touch_room, at + 1);
     SFEMI_CONTACT_ROOM(c, c->w, c->vector_room, n);
     SFEMI_CONTACT_ROOM(c, c->x, c->x_room, n);
+    SFEMI_CONTACT_ROOM(c, c->y, c->y_room, n);
     SFEMI_CONTACT_ROOM(c, c->lambda, c->lambda_room, 3 * (size_t)body->def.max_handles + 1);
     t = c->touch + at;
     memset(t, 0, sizeof *t);
@@ -27117,7 +27208,7 @@ SFEM_DEF sfem_contact_info sfem_contact_get_info(const sfem_contact *c)
 {
     sfem_contact_info info = c->info;
     sfem_int i;
-    info.bytes = sizeof *c + c->column_bytes + (c->vector_room + c->x_room + c->rhs_room + c->work_room + c->v_room +
+    info.bytes = sizeof *c + c->column_bytes + (c->vector_room + c->x_room + c->y_room + c->v0_room + c->rhs_room + c->work_room + c->v_room +
                  c->lambda_room) * sizeof(sfem_real) + c->g_room * sizeof(float) +
                  (size_t)c->obstacle_room * sizeof *c->obstacle + (size_t)c->touch_room * sizeof *c->touch +
                  (size_t)c->point_room * sizeof *c->point + (size_t)c->list_room * sizeof(void *) +
