@@ -25125,9 +25125,8 @@ typedef struct sfemi_row {
 } sfemi_row;
 
 /* Columns of A0^-1 of one factor, between nodes that may touch. */
-typedef struct sfemi_columns sfemi_columns;
-struct sfemi_columns {
-    sfemi_columns *next;
+typedef struct sfemi_columns {
+    struct sfemi_columns *next;
     sfem_model *model;
     sfem_factor *factor;
     int owned;          /* a reference to it is held; else it is a body's own refactored one, of the stamp */
@@ -25137,7 +25136,7 @@ struct sfemi_columns {
     sfem_int *node;           /* [surface] */
     float **at;               /* [surface] [3][3 surface]: columns of three axes, or NULL */
     int64_t *used;            /* [surface] the step in which they last were */
-};
+} sfemi_columns;
 
 typedef struct sfemi_touch { /* a body */
     int used;
