@@ -25154,6 +25154,7 @@ typedef struct sfemi_touch { /* a body */
     /* the step under way */
     int sleep, asleep, rests;  /* rests: it goes on sleeping */
     int fallback, done;
+    int astray;                /* corrections respond to impulses several times as much as G has it */
     sfemi_equation q;
     sfem_real tolerance, first, last, rate, cheap, decrement;
     sfem_real change, size;    /* J, of the impulses in the last system, and theirs */
@@ -25464,6 +25465,7 @@ static void sfemi_contact_place(const sfem_contact *c, const sfemi_touch *t, sfe
     sfemi_obstacle_to_local(o->from, o->from_axes, x0, y0);
     sfemi_sub3(y0, row->local_place, y0);
     start = sfemi_dot3(row->local_normal, y0);
+    if (start < 0) start = fmin(0.0, start + row->compliance * sfemi_dot3(n, row->force)); /* a spring may be pressed */
     row->rigid = start < 0;
     row->least = start < 0 ? start + fmin(c->def.push_share * -start, c->def.push_speed * h) : 0;
 }
@@ -26124,6 +26126,12 @@ static sfem_real sfemi_contact_excess_of(const sfemi_touch *t, const sfem_real *
     return t->expected > 0 && does > t->expected ? does / t->expected : 1;
 }
 
+/* J: changes of impulses below a tenth of the tolerance are left out. */
+static sfem_real sfemi_contact_negligible(const sfem_contact *c, const sfemi_touch *t)
+{
+    return 0.01 * c->def.tolerance * c->def.tolerance * t->size;
+}
+
 /* ---- the trial ---- */
 
 /* The step's right side, with the impulses of the last one. */
@@ -26172,7 +26180,7 @@ static sfem_status sfemi_contact_try(sfem_contact *c, sfem_int index, sfem_error
         SFEMI_TRY(sfemi_contact_detect(c, t, c->w, b->step.h, &found, err));
         if (!t->rows) break;
         SFEMI_TRY(sfemi_contact_press(c, island, 1, err));
-        if (!(t->change > 1e-12 * t->size)) break;
+        if (!(t->change > sfemi_contact_negligible(c, t))) break;
         sfemi_contact_transpose(t, 1, c->x);
         memcpy(c->y, c->x, n * sizeof *c->y);
         sfemi_contact_respond(c, t, c->y);
@@ -26284,6 +26292,7 @@ static void sfemi_contact_redirect(sfem_contact *c, sfemi_touch *t)
     sfemi_contact_pay(t, -1, g->dir);
     for (i = 0; i < n; ++i) g->other[i] = -g->dir[i];
     excess = sfemi_contact_excess_of(t, c->w, g->other);
+    t->astray = excess > 4;
     if (excess > 1) {
         sfemi_contact_owe(c, t, 1 / excess - 1);
         for (i = 0; i < n; ++i) {
@@ -26303,7 +26312,8 @@ static void sfemi_contact_correct_body(sfem_contact *c, sfemi_touch *t)
     sfemi_safeguard *g = &b->safeguard;
     sfem_real length = 0, left;
     sfem_int k;
-    if (t->change > 1e-12 * t->size || t->change > 1e-3 * t->tolerance) sfemi_contact_redirect(c, t);
+    t->astray = 0;
+    if (t->change > sfemi_contact_negligible(c, t) || t->change > 1e-3 * t->tolerance) sfemi_contact_redirect(c, t);
     if (t->first == 0) {
         t->first = t->decrement;
         if (t->fallback) t->tolerance = fmin(t->tolerance, 0.01 * (t->q.moving + t->first));
@@ -26315,7 +26325,8 @@ static void sfemi_contact_correct_body(sfem_contact *c, sfemi_touch *t)
     } else if (g->pairs == 0) {
         t->done = 1;
         return;
-    } else {
+    }
+    if (!(length > 0) || t->astray) { /* pairs of a place where the body was all but unstable are no guide */
         g->pairs = g->made = 0;
         g->dropped = 1;
     }
@@ -26368,6 +26379,68 @@ static void sfemi_contact_settle_debts(sfemi_touch *t)
     sfemi_contact_pay(t, 1, b->safeguard.w);
     sfemi_correct_evaluate(b, &t->q);
     sfemi_correct_residual(b, &t->q, b->safeguard.w, b->safeguard.f, b->safeguard.grad);
+}
+
+/* The deepest that a body's rows are inside at w' beyond what they may be, m. */
+static sfem_real sfemi_contact_depth(const sfemi_touch *t)
+{
+    sfem_real deepest = 0;
+    sfem_int i;
+    for (i = 0; i < t->rows; ++i) {
+        const sfemi_row *row = t->row + i;
+        sfem_real x[3], gap;
+        sfemi_contact_point_of(t, row, t->body->safeguard.w, t->body->step.h, x);
+        sfemi_sub3(x, row->place, x);
+        gap = sfemi_dot3(row->axes, x) - row->least +
+              row->compliance / sfemi_contact_span(t) * sfemi_dot3(row->axes, row->impulse);
+        deepest = fmax(deepest, -gap);
+    }
+    return deepest;
+}
+
+/* Where corrections have ended early rows may be violated: w' += A^-1 J^T dl until they are not. */
+static sfem_status sfemi_contact_separate(sfem_contact *c, sfemi_island island, sfem_error *err)
+{
+    enum { ROUNDS = 4 };
+    sfem_status status = SFEM_OK;
+    sfem_int i, found;
+    int round, busy = 1;
+    for (round = 0; busy && round < ROUNDS; ++round) {
+        for (i = island.first, busy = 0; i < island.first + island.count; ++i) {
+            sfemi_touch *t = c->touch + i;
+            t->done = 1;
+            if (t->rests || !t->body->scheme.rotates) continue;
+            SFEMI_TRY(sfemi_contact_detect(c, t, t->body->safeguard.w, t->body->step.h, &found, err));
+            if (!(sfemi_contact_depth(t) > 1e-3 * t->edge)) continue;
+            t->done = 0;
+            memset(t->body->safeguard.dir, 0, 3 * (size_t)t->body->model->mesh.nodes * sizeof(sfem_real));
+            busy = 1;
+        }
+        if (!busy) break;
+        SFEMI_TRY(sfemi_contact_press(c, island, 0, err));
+        for (i = island.first; i < island.first + island.count; ++i) {
+            sfemi_touch *t = c->touch + i;
+            sfem_body *b = t->body;
+            const size_t n = 3 * (size_t)b->model->mesh.nodes;
+            const sfem_real over = 1 / sfemi_contact_span(t);
+            sfem_real part;
+            size_t at;
+            if (t->done) continue;
+            sfemi_contact_transpose(t, 1, c->x);
+            memcpy(c->y, c->x, n * sizeof *c->y);
+            sfemi_contact_respond(c, t, c->y);
+            part = 1 / sfemi_contact_excess_of(t, NULL, c->y);
+            sfemi_contact_take_change(c, t, part);
+            for (at = 0; at < n; ++at) {
+                b->safeguard.w[at] += part * c->y[at];
+                b->safeguard.external[at] += over * c->x[at];
+            }
+            sfemi_correct_evaluate(b, &t->q);
+            sfemi_correct_residual(b, &t->q, b->safeguard.w, b->safeguard.f, b->safeguard.grad);
+        }
+    }
+done:
+    return status;
 }
 
 /* The mean normal of the rows by their impulses, and the obstacles' speed along it. */
@@ -26479,6 +26552,9 @@ static sfem_status sfemi_contact_correct(sfem_contact *c, sfemi_island island, s
         if (head->started != SFEMI_RESTARTED) most = MOST;
     }
     if (busy) SFEMI_TRY(sfemi_contact_iterate(c, island, most, err));
+    for (i = island.first; i < island.first + island.count; ++i)
+        if (c->touch[i].cheap > 0) sfemi_contact_settle_debts(c->touch + i);
+    if (busy) SFEMI_TRY(sfemi_contact_separate(c, island, err));
     for (i = island.first; i < island.first + island.count; ++i) {
         sfemi_touch *t = c->touch + i;
         sfem_body *b = t->body;
@@ -26486,7 +26562,6 @@ static sfem_status sfemi_contact_correct(sfem_contact *c, sfemi_island island, s
         const size_t n = 3 * (size_t)b->model->mesh.nodes;
         size_t at;
         if (t->rests || b->scheme.rotates != SFEMI_CORRECTS || !(t->cheap > 0)) continue;
-        sfemi_contact_settle_debts(t);
         if (t->first > 0) {
             const sfem_real ratio = t->first / t->cheap;
             head->estimate = fmax(ratio, head->estimate > 0 ? 0.7 * head->estimate + 0.3 * ratio : 0);
@@ -26533,8 +26608,11 @@ static sfem_status sfemi_contact_fall_back(sfem_contact *c, sfemi_island island,
         sfemi_touch *t = c->touch + i;
         if (busy && !t->body->safeguard.converged) /* with the impulses as they are */
             SFEMI_TRY(sfemi_safeguard_descend(t->body, &t->q, t->tolerance, err));
-        sfemi_safeguard_keep_momentum(t->body);
-        sfemi_safeguard_close_fallback(t->body, &t->q);
+    }
+    SFEMI_TRY(sfemi_contact_separate(c, island, err));
+    for (i = island.first; i < island.first + island.count; ++i) {
+        sfemi_safeguard_keep_momentum(c->touch[i].body);
+        sfemi_safeguard_close_fallback(c->touch[i].body, &c->touch[i].q);
     }
 done:
     for (i = island.first; i < island.first + island.count; ++i)
