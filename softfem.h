@@ -1626,6 +1626,7 @@ SFEM_DEF void sfem_body_fragment_positions(sfem_body *body, const sfem_fragments
  *   Steps    by sfem_contact_step alone; sfem_body_step of a body moves it as if there were no obstacles. Forces, pins,
  *            handles and states are the caller's as before, between two steps
  *   Swept    a node that passes an obstacle within a step is found on its way
+ *   Faces    so are obstacles that meet a face of the body between its nodes: small ones, corners, edges, peaks
  *   Threads  as the bodies have them; results have the same bits for any number */
 typedef struct sfem_contact sfem_contact;
 
@@ -25094,12 +25095,32 @@ SFEM_DEF void sfem_body_heal(sfem_body *b)
 
 enum { SFEMI_CONTACT_PARTS = 4 }; /* nodes of a row: three of a face against an obstacle; four of two bodies' features */
 
+/* Triangles of an obstacle, and a tree of boxes over them. */
+typedef struct sfemi_shell_box {
+    sfem_real low[3], high[3];
+    sfem_int first, count; /* triangles of a leaf; of an inner box count is 0, its parts are the next and `first` */
+} sfemi_shell_box;
+
+typedef struct sfemi_shell {
+    sfem_int nodes, triangles, boxes;
+    sfem_real *x;      /* [nodes][3] */
+    sfem_int *tri;     /* [triangles][3], in the order of the leaves */
+    sfem_real *face;   /* [triangles][3] normals, of length 1; */
+    sfem_real *side;   /* [triangles][3][3] of the edges from corner k to k + 1; 0: a rim */
+    sfem_real *corner; /* [nodes][3] */
+    sfemi_shell_box *box;
+    int closed;
+} sfemi_shell;
+
 typedef struct sfemi_obstacle {
     int used;
     int stirred; /* moved, new or changed since the last step: those who sleep on it wake */
     sfem_obstacle_def def;
     sfem_real velocity[3], angular[3];
     sfem_real from[3], from_axes[9], to[3], to_axes[9]; /* pose at the start and the end of the step */
+    sfemi_shell *shell;
+    sfem_real *heights;
+    sfem_real safe;   /* distances are at least this part of what is told */
     sfem_real reach;  /* no part of it is farther from its position; < 0: no such bound */
     sfem_real force[3], torque[3];
 } sfemi_obstacle;
@@ -25287,6 +25308,335 @@ static sfem_real sfemi_obstacle_cylinder(const sfem_real size[3], const sfem_rea
     return s;
 }
 
+/* ---- obstacles of triangles ----
+ *
+ * The nearest point of a surface by a tree of boxes; its side by the normal of the feature that it lies on, a face, an edge
+ * (sum of its faces') or a vertex (weighted by angles) [Baerentzen, Aanaes 2005], which is right for closed surfaces.
+ * Rims of open ones have no normal: what is nearest to them is outside. */
+
+static void sfemi_shell_free(const sfem_allocator *al, sfemi_shell *s)
+{
+    if (!s) return;
+    sfemi_delete(al, s->x);
+    sfemi_delete(al, s->tri);
+    sfemi_delete(al, s->face);
+    sfemi_delete(al, s->side);
+    sfemi_delete(al, s->corner);
+    sfemi_delete(al, s->box);
+    sfemi_delete(al, s);
+}
+
+/* Weights [3] of the point of a triangle that is nearest to p [Ericson 2005, 5.1.5]; returns where: 0 inside, 1 + k on the
+ * edge from k to k + 1, 4 + k at corner k. */
+static int sfemi_shell_nearest(const sfem_real *a, const sfem_real *b, const sfem_real *c, const sfem_real p[3],
+                               sfem_real weight[3])
+{
+    sfem_real ab[3], ac[3], ap[3], bp[3], cp[3], va, vb, vc, t;
+    sfem_real d1, d2, d3, d4, d5, d6;
+    sfemi_sub3(b, a, ab);
+    sfemi_sub3(c, a, ac);
+    sfemi_sub3(p, a, ap);
+    sfemi_sub3(p, b, bp);
+    sfemi_sub3(p, c, cp);
+    d1 = sfemi_dot3(ab, ap), d2 = sfemi_dot3(ac, ap);
+    d3 = sfemi_dot3(ab, bp), d4 = sfemi_dot3(ac, bp);
+    d5 = sfemi_dot3(ab, cp), d6 = sfemi_dot3(ac, cp);
+    weight[0] = weight[1] = weight[2] = 0;
+    if (d1 <= 0 && d2 <= 0) return weight[0] = 1, 4;
+    if (d3 >= 0 && d4 <= d3) return weight[1] = 1, 5;
+    if (d6 >= 0 && d5 <= d6) return weight[2] = 1, 6;
+    vc = d1 * d4 - d3 * d2;
+    if (vc <= 0 && d1 >= 0 && d3 <= 0) {
+        t = d1 / (d1 - d3);
+        return weight[0] = 1 - t, weight[1] = t, 1;
+    }
+    vb = d5 * d2 - d1 * d6;
+    if (vb <= 0 && d2 >= 0 && d6 <= 0) {
+        t = d2 / (d2 - d6);
+        return weight[0] = 1 - t, weight[2] = t, 3;
+    }
+    va = d3 * d6 - d5 * d4;
+    if (va <= 0 && d4 - d3 >= 0 && d5 - d6 >= 0) {
+        t = (d4 - d3) / (d4 - d3 + d5 - d6);
+        return weight[1] = 1 - t, weight[2] = t, 2;
+    }
+    t = va + vb + vc;
+    weight[1] = vb / t;
+    weight[2] = vc / t;
+    weight[0] = 1 - weight[1] - weight[2];
+    return 0;
+}
+
+static sfem_real sfemi_shell_box_distance2(const sfemi_shell_box *box, const sfem_real p[3])
+{
+    sfem_real sum = 0;
+    int c;
+    for (c = 0; c < 3; ++c) {
+        const sfem_real over = fmax(box->low[c] - p[c], p[c] - box->high[c]);
+        if (over > 0) sum += over * over;
+    }
+    return sum;
+}
+
+/* Signed, and its gradient. */
+static sfem_real sfemi_shell_distance(const sfemi_shell *s, const sfem_real p[3], sfem_real n[3])
+{
+    sfem_int stack[64], top = 0, best = -1;
+    sfem_real least = 1e300, nearest[3] = {0, 0, 0}, away[3], length;
+    const sfem_real *normal;
+    int feature = 0, k, c;
+    stack[top++] = 0;
+    while (top) {
+        const sfem_int at = stack[--top];
+        const sfemi_shell_box *box = s->box + at;
+        sfem_int i;
+        if (sfemi_shell_box_distance2(box, p) >= least) continue;
+        for (i = box->first; i < box->first + box->count; ++i) {
+            const sfem_int *t = s->tri + 3 * (size_t)i;
+            sfem_real w[3], x[3], d[3];
+            k = sfemi_shell_nearest(s->x + 3 * (size_t)t[0], s->x + 3 * (size_t)t[1], s->x + 3 * (size_t)t[2], p, w);
+            for (c = 0; c < 3; ++c)
+                x[c] = w[0] * s->x[3 * (size_t)t[0] + (size_t)c] + w[1] * s->x[3 * (size_t)t[1] + (size_t)c] +
+                       w[2] * s->x[3 * (size_t)t[2] + (size_t)c];
+            sfemi_sub3(p, x, d);
+            if (sfemi_dot3(d, d) >= least) continue;
+            least = sfemi_dot3(d, d);
+            memcpy(nearest, x, sizeof x);
+            best = i;
+            feature = k;
+        }
+        if (box->count || top > 62) continue;
+        if (sfemi_shell_box_distance2(s->box + at + 1, p) < sfemi_shell_box_distance2(s->box + box->first, p)) {
+            stack[top++] = box->first;
+            stack[top++] = at + 1; /* the nearer one comes first */
+        } else {
+            stack[top++] = at + 1;
+            stack[top++] = box->first;
+        }
+    }
+    if (best < 0) return 1e300;
+    normal = feature == 0 ? s->face + 3 * (size_t)best
+             : feature < 4 ? s->side + 9 * (size_t)best + 3 * (feature - 1)
+                           : s->corner + 3 * (size_t)s->tri[3 * (size_t)best + (size_t)feature - 4];
+    sfemi_sub3(p, nearest, away);
+    length = sqrt(least);
+    if (length > 0 && sfemi_dot3(normal, away) >= 0) {
+        for (c = 0; c < 3; ++c) n[c] = away[c] / length;
+        return length;
+    }
+    for (c = 0; c < 3; ++c) n[c] = length > 0 ? -away[c] / length : s->face[3 * (size_t)best + (size_t)c];
+    return -length;
+}
+
+/* Boxes over triangles [first, first + count), halved by their middles; `order` is sorted along. Returns the box. */
+static sfem_int sfemi_shell_grow(sfemi_shell *s, const sfem_real *middle, sfem_int *order, sfem_int first, sfem_int count)
+{
+    enum { LEAF = 4 };
+    const sfem_int at = s->boxes++;
+    sfemi_shell_box *box = s->box + at;
+    sfem_real low[3] = {1e300, 1e300, 1e300}, high[3] = {-1e300, -1e300, -1e300};
+    sfem_int i, j, gap, half = count / 2, second;
+    int c, k, axis = 0;
+    for (c = 0; c < 3; ++c) box->low[c] = 1e300, box->high[c] = -1e300;
+    for (i = first; i < first + count; ++i)
+        for (c = 0; c < 3; ++c) {
+            low[c] = fmin(low[c], middle[3 * (size_t)order[i] + (size_t)c]);
+            high[c] = fmax(high[c], middle[3 * (size_t)order[i] + (size_t)c]);
+            for (k = 0; k < 3; ++k) {
+                const sfem_real x = s->x[3 * (size_t)s->tri[3 * (size_t)order[i] + (size_t)k] + (size_t)c];
+                box->low[c] = fmin(box->low[c], x);
+                box->high[c] = fmax(box->high[c], x);
+            }
+        }
+    box->first = first;
+    box->count = count;
+    if (count <= LEAF) return at;
+    for (c = 1; c < 3; ++c)
+        if (high[c] - low[c] > high[axis] - low[axis]) axis = c;
+    for (gap = count / 2; gap > 0; gap /= 2) /* [Shell 1959] */
+        for (i = first + gap; i < first + count; ++i) {
+            const sfem_int o = order[i];
+            for (j = i; j >= first + gap && middle[3 * (size_t)o + (size_t)axis] <
+                                                middle[3 * (size_t)order[j - gap] + (size_t)axis]; j -= gap)
+                order[j] = order[j - gap];
+            order[j] = o;
+        }
+    (void)sfemi_shell_grow(s, middle, order, first, half);
+    second = sfemi_shell_grow(s, middle, order, first + half, count - half);
+    s->box[at].first = second;
+    s->box[at].count = 0;
+    return at;
+}
+
+/* The edge {a, b} of a triangle: its place in a table of `size` slots, a power of 2, by linear probing. */
+static size_t sfemi_shell_slot(const sfem_int *table, size_t size, sfem_int a, sfem_int b)
+{
+    const uint64_t low = (uint64_t)(a < b ? a : b), high = (uint64_t)(a < b ? b : a);
+    size_t at = (size_t)((low * 0x9e3779b97f4a7c15u ^ high * 0xc2b2ae3d27d4eb4fu) >> 20) & (size - 1);
+    while (table[4 * at] && !((uint64_t)table[4 * at + 1] == low && (uint64_t)table[4 * at + 2] == high))
+        at = (at + 1) & (size - 1);
+    return at;
+}
+
+/* Normals of faces, edges and corners, and whether each edge has two sides. */
+static sfem_status sfemi_shell_orient(sfemi_shell *s, const sfem_allocator *al, sfem_error *err)
+{
+    sfem_int *table = NULL, i;
+    size_t size = 16, at;
+    sfem_real *sum = NULL;
+    sfem_status status = SFEM_OK;
+    int k, c;
+    while (size < 6 * (size_t)s->triangles) size *= 2;
+    SFEMI_NEW(sfem_int, table, al, 4 * size); /* faces, nodes, how often one way more than the other */
+    SFEMI_NEW(sfem_real, sum, al, 3 * size);
+    s->closed = 1;
+    for (i = 0; i < s->triangles; ++i) {
+        const sfem_int *t = s->tri + 3 * (size_t)i;
+        sfem_real e[3][3], *n = s->face + 3 * (size_t)i, length;
+        for (k = 0; k < 3; ++k) sfemi_sub3(s->x + 3 * (size_t)t[(k + 1) % 3], s->x + 3 * (size_t)t[k], e[k]);
+        sfemi_cross(e[0], e[1], n);
+        length = sqrt(sfemi_dot3(n, n));
+        for (c = 0; c < 3; ++c) n[c] = length > 0 ? n[c] / length : 0; /* of no area: its neighbours tell the side */
+        for (k = 0; k < 3; ++k) {
+            const sfem_real a = -sfemi_dot3(e[k], e[(k + 2) % 3]);
+            const sfem_real b = sqrt(sfemi_dot3(e[k], e[k]) * sfemi_dot3(e[(k + 2) % 3], e[(k + 2) % 3]));
+            const sfem_real angle = b > 0 ? acos(fmax(-1.0, fmin(1.0, a / b))) : 0;
+            const sfem_int from = t[k], to = t[(k + 1) % 3];
+            at = sfemi_shell_slot(table, size, from, to);
+            ++table[4 * at];
+            table[4 * at + 1] = from < to ? from : to;
+            table[4 * at + 2] = from < to ? to : from;
+            table[4 * at + 3] += from < to ? 1 : -1;
+            for (c = 0; c < 3; ++c) {
+                sum[3 * at + (size_t)c] += n[c];
+                s->corner[3 * (size_t)from + (size_t)c] += angle * n[c];
+            }
+        }
+    }
+    for (i = 0; i < s->triangles; ++i)
+        for (k = 0; k < 3; ++k) {
+            const sfem_int *t = s->tri + 3 * (size_t)i;
+            at = sfemi_shell_slot(table, size, t[k], t[(k + 1) % 3]);
+            if (table[4 * at + 3] == 0) {
+                memcpy(s->side + 9 * (size_t)i + 3 * k, sum + 3 * at, 3 * sizeof *sum);
+                continue;
+            }
+            s->closed = 0;
+            memset(s->corner + 3 * (size_t)t[k], 0, 3 * sizeof *sum);
+            memset(s->corner + 3 * (size_t)t[(k + 1) % 3], 0, 3 * sizeof *sum);
+        }
+done:
+    sfemi_delete(al, table);
+    sfemi_delete(al, sum);
+    return status;
+}
+
+static sfem_status sfemi_shell_check(const sfem_surface *surface, sfem_error *err)
+{
+    sfem_int i;
+    if (!surface || surface->triangles < 1 || surface->nodes < 3 || !surface->x || !surface->tri)
+        return sfemi_fail(err, SFEM_BAD_MESH, "the obstacle's surface has no triangles, or no places of its nodes");
+    for (i = 0; i < 3 * surface->nodes; ++i)
+        if (!sfemi_finite(surface->x[i]))
+            return sfemi_fail_at(err, SFEM_NOT_FINITE, i / 3, -1, "node %d of the obstacle's surface is not finite",
+                                 (int)(i / 3));
+    for (i = 0; i < 3 * surface->triangles; ++i)
+        if (surface->tri[i] < 0 || surface->tri[i] >= surface->nodes)
+            return sfemi_fail(err, SFEM_BAD_MESH, "triangle %d of the obstacle names node %d, its surface has %d",
+                              (int)(i / 3), (int)surface->tri[i], (int)surface->nodes);
+    return SFEM_OK;
+}
+
+static sfem_status sfemi_shell_create(const sfem_surface *surface, const sfem_allocator *al, sfemi_shell **out,
+                                      sfem_error *err)
+{
+    sfemi_shell *s = NULL;
+    sfem_real *middle = NULL;
+    sfem_int *order = NULL, *tri = NULL, i;
+    sfem_status status = SFEM_OK;
+    int c;
+    SFEMI_TRY(sfemi_shell_check(surface, err));
+    SFEMI_NEW(sfemi_shell, s, al, 1);
+    s->nodes = surface->nodes;
+    s->triangles = surface->triangles;
+    SFEMI_NEW(sfem_real, s->x, al, 3 * (size_t)s->nodes);
+    SFEMI_NEW(sfem_int, s->tri, al, 3 * (size_t)s->triangles);
+    SFEMI_NEW(sfem_real, s->face, al, 3 * (size_t)s->triangles);
+    SFEMI_NEW(sfem_real, s->side, al, 9 * (size_t)s->triangles);
+    SFEMI_NEW(sfem_real, s->corner, al, 3 * (size_t)s->nodes);
+    SFEMI_NEW(sfemi_shell_box, s->box, al, 2 * (size_t)s->triangles);
+    SFEMI_NEW(sfem_real, middle, al, 3 * (size_t)s->triangles);
+    SFEMI_NEW(sfem_int, order, al, s->triangles);
+    SFEMI_NEW(sfem_int, tri, al, 3 * (size_t)s->triangles);
+    memcpy(s->x, surface->x, 3 * (size_t)s->nodes * sizeof *s->x);
+    memcpy(s->tri, surface->tri, 3 * (size_t)s->triangles * sizeof *s->tri);
+    for (i = 0; i < s->triangles; ++i) {
+        order[i] = i;
+        for (c = 0; c < 9; ++c)
+            middle[3 * (size_t)i + (size_t)(c % 3)] += s->x[3 * (size_t)s->tri[3 * i + c / 3] + (size_t)(c % 3)] / 3;
+    }
+    (void)sfemi_shell_grow(s, middle, order, 0, s->triangles);
+    for (i = 0; i < s->triangles; ++i) memcpy(tri + 3 * (size_t)i, s->tri + 3 * (size_t)order[i], 3 * sizeof *tri);
+    memcpy(s->tri, tri, 3 * (size_t)s->triangles * sizeof *tri);
+    SFEMI_TRY(sfemi_shell_orient(s, al, err));
+    *out = s;
+    s = NULL;
+done:
+    sfemi_shell_free(al, s);
+    sfemi_delete(al, middle);
+    sfemi_delete(al, order);
+    sfemi_delete(al, tri);
+    return status;
+}
+
+/* Of a height field: the distance from the plane of the triangle above or below which a point is; none beyond the rim. */
+static sfem_real sfemi_obstacle_heights(const sfem_obstacle_def *d, const sfem_real *heights, const sfem_real y[3],
+                                        sfem_real n[3])
+{
+    const sfem_real u = y[0] / d->size[0], v = y[1] / d->size[1];
+    sfem_int i, j;
+    sfem_real h, a, b, length, s, t;
+    n[0] = n[1] = 0;
+    n[2] = 1;
+    if (!(u >= 0 && v >= 0 && u <= d->cells[0] - 1 && v <= d->cells[1] - 1)) return 1e300;
+    i = (sfem_int)u < d->cells[0] - 2 ? (sfem_int)u : d->cells[0] - 2;
+    j = (sfem_int)v < d->cells[1] - 2 ? (sfem_int)v : d->cells[1] - 2;
+    s = u - i;
+    t = v - j;
+    heights += (size_t)i * (size_t)d->cells[1] + (size_t)j;
+    if (s >= t) { /* (0,0) (1,0) (1,1) */
+        a = heights[d->cells[1]] - heights[0];
+        b = heights[d->cells[1] + 1] - heights[d->cells[1]];
+    } else {
+        a = heights[d->cells[1] + 1] - heights[1];
+        b = heights[1] - heights[0];
+    }
+    h = heights[0] + a * s + b * t;
+    n[0] = -a / d->size[0];
+    n[1] = -b / d->size[1];
+    length = sqrt(sfemi_dot3(n, n));
+    n[0] /= length;
+    n[1] /= length;
+    n[2] /= length;
+    return (y[2] - h) * n[2];
+}
+
+/* The least cosine of its slopes, by which distances are at least the heights. */
+static sfem_real sfemi_obstacle_flattest(const sfem_obstacle_def *d)
+{
+    sfem_real least = 1, n[3];
+    sfem_int i, j;
+    int k;
+    for (i = 0; i + 1 < d->cells[0]; ++i)
+        for (j = 0; j + 1 < d->cells[1]; ++j)
+            for (k = 0; k < 2; ++k) {
+                const sfem_real y[3] = {(i + (k ? 0.75 : 0.25)) * d->size[0], (j + (k ? 0.25 : 0.75)) * d->size[1], 0};
+                (void)sfemi_obstacle_heights(d, d->heights, y, n);
+                least = fmin(least, n[2]);
+            }
+    return least;
+}
+
 /* Of a point in its axes; n: the gradient. */
 static sfem_real sfemi_obstacle_distance(const sfemi_obstacle *o, const sfem_real y[3], sfem_real n[3])
 {
@@ -25303,6 +25653,14 @@ static sfem_real sfemi_obstacle_distance(const sfemi_obstacle *o, const sfem_rea
     case SFEM_OBSTACLE_DISTANCE:
         s = o->def.distance(o->def.user, y, n);
         return sfemi_finite(s) && sfemi_all_finite(n, 3) ? s : 1e300; /* where it is not defined nothing is touched */
+    case SFEM_OBSTACLE_HEIGHTS: return sfemi_obstacle_heights(&o->def, o->heights, y, n);
+    case SFEM_OBSTACLE_SURFACE:
+        s = sfemi_shell_distance(o->shell, y, n);
+        if (o->shell->closed || s > -size[0] / 2) return s;
+        n[0] = -n[0]; /* an open one is a plate that has a back */
+        n[1] = -n[1];
+        n[2] = -n[2];
+        return -s - size[0];
     default:
         n[0] = n[1] = 0;
         n[2] = 1;
@@ -25387,7 +25745,7 @@ static sfem_real sfemi_obstacle_trace(const sfemi_obstacle *o, const sfem_real y
             for (c = 0; c < 3; ++c) place[c] -= s * n[c];
             return t;
         }
-        t += s / length;
+        t += o->safe * s / length;
         if (t > 1) break;
     }
     return 2;
@@ -25412,9 +25770,9 @@ static int sfemi_contact_meets(const sfemi_obstacle *o, const sfem_real y0[3], c
     int c;
     sfemi_sub3(y1, y0, way);
     length = sqrt(sfemi_dot3(way, way));
-    if (s1 > margin + length) return 0;
+    if (o->safe * s1 > margin + length) return 0;
     s0 = sfemi_obstacle_distance(o, y0, n0);
-    if (s1 >= margin && (s0 <= 0 || s0 + s1 > length)) return 0;
+    if (s1 >= margin && (s0 <= 0 || o->safe * (s0 + s1) > length)) return 0;
     if (s0 <= 0) {
         memcpy(n, n0, sizeof n);
         for (c = 0; c < 3; ++c) touch[c] = y0[c] - s0 * n0[c];
@@ -25510,26 +25868,6 @@ done:
     return status;
 }
 
-/* Rows that were there: their planes at where they are now. */
-static void sfemi_contact_follow(const sfem_contact *c, sfemi_touch *t, const sfem_real *w, sfem_real h)
-{
-    sfem_int i;
-    int k;
-    for (i = 0; i < t->rows; ++i) {
-        sfemi_row *row = t->row + i;
-        const sfemi_obstacle *o = c->obstacle + row->obstacle;
-        sfem_real x[3], y[3], n[3], s;
-        sfemi_contact_point_of(t, row, w, h, x);
-        sfemi_obstacle_to_local(o->to, o->to_axes, x, y);
-        s = sfemi_obstacle_distance(o, y, n);
-        if (sfemi_dot3(n, row->local_normal) > 0.3 && s < 1e299) {
-            memcpy(row->local_normal, n, sizeof n);
-            for (k = 0; k < 3; ++k) row->local_place[k] = y[k] - s * n[k];
-        }
-        sfemi_contact_place(c, t, row, h);
-    }
-}
-
 /* Nodes of the body that meet an obstacle, and have no row with it. */
 static sfem_status sfemi_contact_detect_nodes(sfem_contact *c, sfemi_touch *t, sfem_int obstacle, sfem_real h,
                                               sfem_error *err)
@@ -25565,6 +25903,204 @@ done:
     return status;
 }
 
+/* ---- faces: obstacles smaller than triangles, their corners and edges ----
+ *
+ * The point of a face that is deepest in an obstacle, by steps down the distance's gradient, projected to the face. It is a
+ * contact if it is much nearer than the face's nodes, which have rows of their own. */
+
+/* Corners of a triangle of the body at the part `time` of the step, in the obstacle's axes then. */
+static void sfemi_contact_face_at(const sfemi_touch *t, const sfemi_obstacle *o, const sfem_int *tri, const sfem_real *w,
+                                  sfem_real time_h, sfem_real share, sfem_real corner[9])
+{
+    const sfem_real *rest = t->body->model->mesh.x, *u = t->body->state.u;
+    int k, c;
+    for (k = 0; k < 3; ++k) {
+        sfem_real x[3], y[3];
+        for (c = 0; c < 3; ++c) {
+            const size_t at = 3 * (size_t)tri[k] + (size_t)c;
+            x[c] = rest[at] + u[at] + time_h * w[at];
+        }
+        sfemi_obstacle_to_local(o->from, o->from_axes, x, corner + 3 * k);
+        if (!(share > 0)) continue;
+        sfemi_obstacle_to_local(o->to, o->to_axes, x, y);
+        for (c = 0; c < 3; ++c) corner[3 * k + c] = (1 - share) * corner[3 * k + c] + share * y[c];
+    }
+}
+
+/* The least distance of a point of the triangle, and its weights. */
+static sfem_real sfemi_contact_face_depth(const sfemi_obstacle *o, const sfem_real corner[9], sfem_real size,
+                                          sfem_real weight[3])
+{
+    enum { STEPS = 16 };
+    sfem_real best = 1e300, y[3], n[3], w[3] = {1.0 / 3, 1.0 / 3, 1.0 / 3}, length = size;
+    int k, c;
+    for (k = 0; k < STEPS; ++k) {
+        sfem_real s;
+        for (c = 0; c < 3; ++c) y[c] = w[0] * corner[c] + w[1] * corner[3 + c] + w[2] * corner[6 + c];
+        s = sfemi_obstacle_distance(o, y, n);
+        if (s < best) {
+            best = s;
+            memcpy(weight, w, sizeof w);
+        } else { /* back to the best, and shorter steps */
+            length /= 2;
+            for (c = 0; c < 3; ++c) y[c] = weight[0] * corner[c] + weight[1] * corner[3 + c] + weight[2] * corner[6 + c];
+            if (sfemi_obstacle_distance(o, y, n) > 1e299) break;
+        }
+        for (c = 0; c < 3; ++c) y[c] -= length * n[c];
+        (void)sfemi_shell_nearest(corner, corner + 3, corner + 6, y, w);
+    }
+    return best;
+}
+
+/* Does the triangle meet the obstacle in the step between its nodes? Then weight is where. */
+static int sfemi_contact_face_meets(const sfemi_touch *t, const sfemi_obstacle *o, const sfem_int *tri, const sfem_real *w,
+                                    sfem_real h, sfem_real weight[3])
+{
+    enum { MOST = 16 };
+    sfem_real corner[9], first[9], middle[3], n[3], size = 0, way = 0, s;
+    int k, c, times;
+    sfemi_contact_face_at(t, o, tri, w, 0, 0, first);
+    sfemi_contact_face_at(t, o, tri, w, h, 1, corner);
+    for (c = 0; c < 3; ++c) middle[c] = (corner[c] + corner[3 + c] + corner[6 + c]) / 3;
+    for (k = 0; k < 3; ++k) {
+        sfem_real d[3], e[3];
+        sfemi_sub3(corner + 3 * k, middle, d);
+        sfemi_sub3(corner + 3 * k, first + 3 * k, e);
+        size = fmax(size, sqrt(sfemi_dot3(d, d)));
+        way = fmax(way, sqrt(sfemi_dot3(e, e)));
+    }
+    s = sfemi_obstacle_distance(o, middle, n);
+    if (o->safe * s > size + way) return 0;
+    times = way > size ? way / size < MOST ? 1 + (int)(way / size) : MOST : 1;
+    for (k = 1; k <= times; ++k) { /* on its way */
+        const sfem_real share = (sfem_real)k / times;
+        sfem_real nodes = 1e300;
+        if (k < times) sfemi_contact_face_at(t, o, tri, w, share * h, share, corner);
+        else sfemi_contact_face_at(t, o, tri, w, h, 1, corner);
+        for (c = 0; c < 3; ++c) nodes = fmin(nodes, sfemi_obstacle_distance(o, corner + 3 * c, n));
+        s = sfemi_contact_face_depth(o, corner, size, weight);
+        if (s < -1e-3 * t->edge && s < nodes - 0.02 * size) return 1;
+    }
+    return 0;
+}
+
+/* The plane of a face's row, corners at the start and the end of the step: where the point lies inside the face, the face
+ * itself, moved along its normal to where the obstacle ends (a corner has no normal of its own); else as of a node. */
+static int sfemi_contact_face_plane(const sfemi_obstacle *o, const sfem_real first[9], const sfem_real corner[9],
+                                    sfem_real margin, sfemi_row *row)
+{
+    enum { MOST = 60 };
+    const sfem_real *w = row->weight, inside = 0.02; /* of a weight */
+    sfem_real y0[3], y1[3], e[3], f[3], n[3], g[3], touch[3], way[3], s, length, size, moved = 0;
+    int k, c;
+    for (c = 0; c < 3; ++c) {
+        y0[c] = w[0] * first[c] + w[1] * first[3 + c] + w[2] * first[6 + c];
+        y1[c] = w[0] * corner[c] + w[1] * corner[3 + c] + w[2] * corner[6 + c];
+    }
+    sfemi_sub3(corner + 3, corner, e);
+    sfemi_sub3(corner + 6, corner, f);
+    sfemi_cross(f, e, n); /* into the body */
+    length = sqrt(sfemi_dot3(n, n));
+    size = sqrt(length);
+    if (!(fmin(w[0], fmin(w[1], w[2])) > inside) || !(length > 0)) return sfemi_contact_meets(o, y0, y1, margin, row);
+    for (c = 0; c < 3; ++c) n[c] /= length;
+    s = sfemi_obstacle_distance(o, y1, g);
+    sfemi_sub3(y1, y0, way);
+    if (s >= margin && sfemi_dot3(way, n) < 0 && sfemi_obstacle_distance(o, y0, g) > 0) { /* passed? */
+        if (sfemi_obstacle_trace(o, y0, y1, touch, g) > 1) return 0;
+        memcpy(row->local_place, touch, sizeof touch);
+        memcpy(row->local_normal, n, sizeof n);
+        return 1;
+    }
+    for (k = 0; k < MOST && fabs(s) > 1e-9 * size && fabs(moved) < 2 * size; ++k) {
+        moved -= o->safe * s; /* out of the obstacle along n, or back to it */
+        for (c = 0; c < 3; ++c) touch[c] = y1[c] + moved * n[c];
+        s = sfemi_obstacle_distance(o, touch, g);
+    }
+    if (k == MOST || fabs(moved) >= 2 * size) return sfemi_contact_meets(o, y0, y1, margin, row);
+    for (c = 0; c < 3; ++c) row->local_place[c] = y1[c] + moved * n[c];
+    memcpy(row->local_normal, n, sizeof n);
+    return 1;
+}
+
+/* Rows that were there: their planes at where they are now. */
+static void sfemi_contact_follow(const sfem_contact *c, sfemi_touch *t, const sfem_real *w, sfem_real h)
+{
+    sfem_int i;
+    int k;
+    for (i = 0; i < t->rows; ++i) {
+        sfemi_row *row = t->row + i;
+        const sfemi_obstacle *o = c->obstacle + row->obstacle;
+        sfem_real x[3], y[3], n[3], s;
+        if (row->parts == 3) {
+            sfem_real first[9], corner[9];
+            sfemi_contact_face_at(t, o, row->node, w, 0, 0, first);
+            sfemi_contact_face_at(t, o, row->node, w, h, 1, corner);
+            (void)sfemi_contact_face_plane(o, first, corner, 1e300, row);
+            sfemi_contact_place(c, t, row, h);
+            continue;
+        }
+        sfemi_contact_point_of(t, row, w, h, x);
+        sfemi_obstacle_to_local(o->to, o->to_axes, x, y);
+        s = sfemi_obstacle_distance(o, y, n);
+        if (sfemi_dot3(n, row->local_normal) > 0.3 && s < 1e299) {
+            memcpy(row->local_normal, n, sizeof n);
+            for (k = 0; k < 3; ++k) row->local_place[k] = y[k] - s * n[k];
+        }
+        sfemi_contact_place(c, t, row, h);
+    }
+}
+
+/* Rows of faces are of points that stay: where the obstacle slides or the face rolls, another one is made beside. Is
+ * there one nearby, or no more room? */
+static int sfemi_contact_face_is_touched(const sfemi_touch *t, const sfemi_row *row)
+{
+    enum { MOST = 8 };
+    const sfem_real near = 0.02;
+    sfem_int i;
+    int k, there = 0;
+    for (i = 0; i < t->rows; ++i) {
+        const sfemi_row *r = t->row + i;
+        sfem_real apart = 0;
+        if (r->feature != row->feature || r->obstacle != row->obstacle) continue;
+        for (k = 0; k < 3; ++k) apart = fmax(apart, fabs(r->weight[k] - row->weight[k]));
+        if (apart < near || ++there == MOST) return 1;
+    }
+    return 0;
+}
+
+/* Faces of the body that meet an obstacle between their nodes, and have no row with it there. */
+static sfem_status sfemi_contact_detect_faces(sfem_contact *c, sfemi_touch *t, sfem_int obstacle, const sfem_real *w,
+                                              sfem_real h, sfem_error *err)
+{
+    const sfemi_obstacle *o = c->obstacle + obstacle;
+    const sfem_int nodes = t->body->model->mesh.nodes;
+    sfem_status status = SFEM_OK;
+    sfem_int i;
+    for (i = 0; i < t->triangles; ++i) {
+        const sfem_int *tri = t->tri + 3 * (size_t)i;
+        sfem_real first[9], corner[9];
+        sfemi_row row;
+        memset(&row, 0, sizeof row);
+        if (!sfemi_contact_face_meets(t, o, tri, w, h, row.weight)) continue;
+        row.feature = nodes + i;
+        row.obstacle = obstacle;
+        if (sfemi_contact_face_is_touched(t, &row)) continue;
+        memcpy(row.node, tri, 3 * sizeof *tri);
+        row.parts = 3;
+        sfemi_contact_face_at(t, o, tri, w, 0, 0, first);
+        sfemi_contact_face_at(t, o, tri, w, h, 1, corner);
+        if (!sfemi_contact_face_plane(o, first, corner, 1e-3 * t->edge, &row)) continue;
+        row.fresh = 1;
+        sfemi_contact_rate(c, t, &row);
+        sfemi_contact_place(c, t, &row, h);
+        sfemi_contact_bounce(c, t, &row, h);
+        SFEMI_TRY(sfemi_contact_append(c, t, &row, err));
+    }
+done:
+    return status;
+}
+
 /* The rows of a body that moves by w in the step; found: new ones. */
 static sfem_status sfemi_contact_detect(sfem_contact *c, sfemi_touch *t, const sfem_real *w, sfem_real h,
                                         sfem_int *found, sfem_error *err)
@@ -25589,6 +26125,13 @@ static sfem_status sfemi_contact_detect(sfem_contact *c, sfemi_touch *t, const s
         if (!sfemi_contact_pair(t, c->obstacle + i) || sfemi_obstacle_is_far(c->obstacle + i, box, 1e-3 * t->edge))
             continue;
         SFEMI_TRY(sfemi_contact_detect_nodes(c, t, i, h, err));
+    }
+    /* faces once their nodes do not go through any more: else all that a plate is passed by would have rows */
+    for (i = 0; i < c->obstacles && t->rows == before; ++i) {
+        if (c->obstacle[i].def.kind == SFEM_OBSTACLE_PLANE || !sfemi_contact_pair(t, c->obstacle + i) ||
+            sfemi_obstacle_is_far(c->obstacle + i, box, 1e-3 * t->edge))
+            continue;
+        SFEMI_TRY(sfemi_contact_detect_faces(c, t, i, w, h, err));
     }
 done:
     *found = t->rows - before;
@@ -25824,7 +26367,9 @@ static void sfemi_contact_set_up_row(const sfem_contact *c, const sfemi_touch *t
 /* Is a before b? By feature, then obstacle: the order does not depend on when they were found. */
 static int sfemi_contact_precedes(const sfemi_row *a, const sfemi_row *b)
 {
-    return a->feature != b->feature ? a->feature < b->feature : a->obstacle < b->obstacle;
+    if (a->feature != b->feature) return a->feature < b->feature;
+    if (a->obstacle != b->obstacle) return a->obstacle < b->obstacle;
+    return a->weight[0] != b->weight[0] ? a->weight[0] < b->weight[0] : a->weight[1] < b->weight[1];
 }
 
 /* c->list of an island's rows in order. */
@@ -27017,6 +27562,12 @@ static void sfemi_contact_forget_obstacle(sfem_contact *c, sfem_int id)
     c->points = 0;
 }
 
+static void sfemi_obstacle_release(const sfem_contact *c, sfemi_obstacle *o)
+{
+    sfemi_shell_free(&c->def.allocator, o->shell);
+    sfemi_delete(&c->def.allocator, o->heights);
+}
+
 static void sfemi_contact_free_touch(sfem_contact *c, sfemi_touch *t)
 {
     const sfem_allocator *al = &c->def.allocator;
@@ -27039,6 +27590,7 @@ SFEM_DEF void sfem_contact_free(sfem_contact *c)
     if (!c) return;
     al = c->def.allocator;
     for (i = 0; i < c->touches; ++i) sfemi_contact_free_touch(c, c->touch + i);
+    for (i = 0; i < c->obstacles; ++i) sfemi_obstacle_release(c, c->obstacle + i);
     sfemi_delete(&al, c->obstacle);
     sfemi_delete(&al, c->touch);
     sfemi_delete(&al, c->point);
@@ -27178,18 +27730,24 @@ static sfem_status sfemi_obstacle_check_pose(const sfem_real *position, const sf
 
 static sfem_status sfemi_obstacle_check(const sfem_obstacle_def *d, sfem_error *err)
 {
-    static const int sizes[] = {0, 1, 2, 3, 2, 0};
+    static const int sizes[] = {0, 1, 2, 3, 2, 0, 2, 0};
     sfem_status status = sfemi_obstacle_check_pose(d->position, d->rotation, err);
     int k;
     if (status == SFEM_OK) status = sfemi_contact_check_surface(&d->contact, "obstacle", err);
     if (status != SFEM_OK) return status;
-    if ((unsigned)d->kind > SFEM_OBSTACLE_DISTANCE)
+    if ((unsigned)d->kind > SFEM_OBSTACLE_SURFACE)
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "there is no kind %d of obstacles", (int)d->kind);
     for (k = 0; k < sizes[d->kind]; ++k)
         if (!(sfemi_finite(d->size[k]) && d->size[k] > 0))
             return sfemi_fail(err, SFEM_BAD_ARGUMENT, "size %d of the obstacle is %g, must be > 0", k, d->size[k]);
     if (d->kind == SFEM_OBSTACLE_DISTANCE && !d->distance)
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "the obstacle has no distance function");
+    if (d->kind != SFEM_OBSTACLE_HEIGHTS) return SFEM_OK;
+    if (!d->heights || d->cells[0] < 2 || d->cells[1] < 2)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "a height field of %d x %d heights: give two or more each way",
+                          (int)d->cells[0], (int)d->cells[1]);
+    if (!sfemi_all_finite(d->heights, (size_t)d->cells[0] * (size_t)d->cells[1]))
+        return sfemi_fail(err, SFEM_NOT_FINITE, "a height of the obstacle is not finite");
     return SFEM_OK;
 }
 
@@ -27204,21 +27762,54 @@ static sfem_real sfemi_obstacle_reach(const sfem_obstacle_def *d)
     }
 }
 
+/* What it takes a copy of. */
+static sfem_status sfemi_obstacle_copy(const sfem_contact *c, sfemi_obstacle *o, sfem_error *err)
+{
+    const sfem_obstacle_def *d = &o->def;
+    const sfem_allocator *al = &c->def.allocator;
+    sfem_status status = SFEM_OK;
+    sfem_int i;
+    o->safe = 1;
+    if (d->kind == SFEM_OBSTACLE_HEIGHTS) {
+        const size_t count = (size_t)d->cells[0] * (size_t)d->cells[1];
+        SFEMI_NEW(sfem_real, o->heights, al, count);
+        memcpy(o->heights, d->heights, count * sizeof *o->heights);
+        o->safe = sfemi_obstacle_flattest(d);
+    }
+    if (d->kind == SFEM_OBSTACLE_SURFACE) {
+        SFEMI_TRY(sfemi_shell_create(d->surface, al, &o->shell, err));
+        if (!o->shell->closed && !(sfemi_finite(d->size[0]) && d->size[0] > 0)) {
+            sfemi_shell_free(al, o->shell);
+            o->shell = NULL;
+            return sfemi_fail(err, SFEM_BAD_MESH, "the obstacle's surface is open: close it, or give its thickness in size[0]");
+        }
+        o->reach = 0;
+        for (i = 0; i < o->shell->nodes; ++i)
+            o->reach = fmax(o->reach, sqrt(sfemi_dot3(o->shell->x + 3 * (size_t)i, o->shell->x + 3 * (size_t)i)));
+        if (!o->shell->closed) o->reach += d->size[0];
+    }
+    o->def.heights = NULL;
+    o->def.surface = NULL;
+done:
+    return status;
+}
+
 SFEM_DEF sfem_status sfem_contact_add_obstacle(sfem_contact *c, const sfem_obstacle_def *def, sfem_int *id, sfem_error *err)
 {
     sfem_status status = SFEM_OK;
-    sfemi_obstacle *o;
+    sfemi_obstacle o;
     sfem_int at;
     SFEM_ASSERT(c && def);
+    memset(&o, 0, sizeof o);
     SFEMI_TRY(sfemi_obstacle_check(def, err));
     for (at = 0; at < c->obstacles && c->obstacle[at].used;) ++at;
     SFEMI_CONTACT_LIST(c, c->obstacle, c->obstacle_room, at + 1);
-    o = c->obstacle + at;
-    memset(o, 0, sizeof *o);
-    o->def = *def;
-    o->reach = sfemi_obstacle_reach(def);
-    o->used = o->stirred = 1;
-    sfemi_obstacle_set_off(o, 0);
+    o.def = *def;
+    o.reach = sfemi_obstacle_reach(def);
+    SFEMI_TRY(sfemi_obstacle_copy(c, &o, err));
+    o.used = o.stirred = 1;
+    sfemi_obstacle_set_off(&o, 0);
+    c->obstacle[at] = o;
     if (at == c->obstacles) ++c->obstacles;
     if (id) *id = at;
 done:
@@ -27229,6 +27820,7 @@ SFEM_DEF void sfem_contact_remove_obstacle(sfem_contact *c, sfem_int id)
 {
     SFEM_ASSERT(c && id >= 0 && id < c->obstacles && c->obstacle[id].used);
     sfemi_contact_forget_obstacle(c, id);
+    sfemi_obstacle_release(c, c->obstacle + id);
     memset(c->obstacle + id, 0, sizeof *c->obstacle);
 }
 

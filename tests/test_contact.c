@@ -804,12 +804,45 @@ static double wavy(void *user, const sfem_real x[3], sfem_real gradient[3]) /* a
     return (x[2] - f) / length;
 }
 
-static sfem_obstacle_def shape_of(sfem_obstacle_kind kind)
+/* Of 0.2 m radius, with places of its own. */
+static sfem_surface surface_of_a_ball(void)
 {
+    sfem_mesh mesh = ball(0.2, 6);
+    sfem_surface s;
+    sfem_error err;
+    sfem_int i;
+    assert_ok(sfem_mesh_surface(&mesh, NULL, &s, &err), err);
+    s.nodes = mesh.nodes; /* the inner ones are of no use */
+    s.x = (sfem_real *)malloc(3 * (size_t)mesh.nodes * sizeof *s.x);
+    for (i = 0; i < 3 * mesh.nodes; ++i) s.x[i] = mesh.x[i];
+    sfem_mesh_free(&mesh);
+    return s;
+}
+
+static void free_surface(sfem_surface *s)
+{
+    free(s->x);
+    s->x = NULL;
+    sfem_surface_free(s);
+}
+
+static sfem_obstacle_def shape_of(sfem_obstacle_kind kind, const sfem_surface *surface)
+{
+    static sfem_real heights[41 * 41];
     sfem_obstacle_def d = sfem_default_obstacle_def();
+    int i;
     d.kind = kind;
     d.size[0] = d.size[1] = d.size[2] = 0.2;
     d.distance = wavy;
+    if (kind == SFEM_OBSTACLE_HEIGHTS) { /* the same hills, sampled */
+        for (i = 0; i < 41 * 41; ++i)
+            heights[i] = 0.08 * sin(9 * (i / 41 * 0.04 - 0.8)) * cos(9 * (i % 41 * 0.04 - 0.8));
+        d.heights = heights;
+        d.cells[0] = d.cells[1] = 41;
+        d.size[0] = d.size[1] = 0.04;
+        d.position[0] = d.position[1] = -0.8;
+    }
+    if (kind == SFEM_OBSTACLE_SURFACE) d.surface = surface;
     if (kind == SFEM_OBSTACLE_CAPSULE) d.size[0] = 0.1; /* lies along x */
     if (kind == SFEM_OBSTACLE_CAPSULE || kind == SFEM_OBSTACLE_CYLINDER) {
         d.rotation[0] = d.rotation[8] = 0;
@@ -824,14 +857,16 @@ static sfem_obstacle_def shape_of(sfem_obstacle_kind kind)
 static void a_slab_rests_on_obstacles_of_every_kind(void **unused)
 {
     static const sfem_obstacle_kind kinds[] = {SFEM_OBSTACLE_SPHERE, SFEM_OBSTACLE_CAPSULE, SFEM_OBSTACLE_BOX,
-                                               SFEM_OBSTACLE_CYLINDER, SFEM_OBSTACLE_DISTANCE};
+                                               SFEM_OBSTACLE_CYLINDER, SFEM_OBSTACLE_DISTANCE,
+                                               SFEM_OBSTACLE_HEIGHTS, SFEM_OBSTACLE_SURFACE};
     const sfem_int cells[3] = {8, 8, 3};
     const sfem_real size[3] = {0.8, 0.8, 0.3};
     size_t i;
     (void)unused;
     for (i = 0; i < TEST_COUNT(kinds); ++i) {
         sfem_body_def def = falling();
-        sfem_obstacle_def shape = shape_of(kinds[i]);
+        sfem_surface surface = surface_of_a_ball();
+        sfem_obstacle_def shape = shape_of(kinds[i], &surface);
         sfem_mesh mesh;
         sfem_error err;
         sfem_int id;
@@ -844,12 +879,13 @@ static void a_slab_rests_on_obstacles_of_every_kind(void **unused)
         def.beta_k = 0.02;
         def.alpha = 2;
         s = on_floor(mesh, 2e5, &def);
-        if (kinds[i] == SFEM_OBSTACLE_DISTANCE) shape.position[2] = 0.1;
+        if (kinds[i] == SFEM_OBSTACLE_DISTANCE || kinds[i] == SFEM_OBSTACLE_HEIGHTS) shape.position[2] = 0.1;
         assert_ok(sfem_contact_add_obstacle(s.contact, &shape, &id, &err), err);
         for (k = 0; k < 180; ++k) {
             step(&s, 1.0 / 60);
             deepest = fmax(deepest, sfem_contact_get_info(s.contact).penetration);
         }
+        print_message("kind %d deepest %g end %g rejected %d\n", (int)kinds[i], deepest, sfem_contact_get_info(s.contact).penetration, (int)sfem_body_get_info(s.body[0]).rejected);
         assert_true(deepest < 5e-3);
         assert_true(sfem_contact_get_info(s.contact).penetration < 1e-4);
         sfem_contact_obstacle_force(s.contact, id, force, torque);
@@ -859,8 +895,131 @@ static void a_slab_rests_on_obstacles_of_every_kind(void **unused)
         sum += force[2];
         print_message("kind %d deepest %g weight %.4f rejected %d\n", (int)kinds[i], deepest, -sum / s.mass / GRAVITY, (int)sfem_body_get_info(s.body[0]).rejected);
         assert_near(sum, -s.mass * GRAVITY, 0.05, 0);
+        free_surface(&surface);
         drop(&s);
     }
+}
+
+/* Needles, corners and edges smaller than the triangles of a body do not slip in between its nodes: how deep they are
+ * below its top, less what that itself gives way. */
+static void small_obstacles_do_not_slip_between_nodes(void **unused)
+{
+    int kind, fast;
+    (void)unused;
+    for (kind = 0; kind < 3; ++kind)
+        for (fast = 0; fast < 2; ++fast) {
+            sfem_body_def def = sfem_default_body_def();
+            sfem_obstacle_def tool = sfem_default_obstacle_def();
+            sfem_mesh mesh = block(2, 0.4); /* triangles of 0.2 m */
+            const sfem_contact_point *point;
+            const sfem_real down[3] = {0, 0, fast ? -20 : -0.5};
+            sfem_int pins[9], i, points;
+            sfem_real force[3], torque[3];
+            sfem_error err;
+            sfem_int id;
+            double deepest = 0;
+            scene s;
+            int k;
+            for (i = 0; i < mesh.nodes; ++i)
+                if (mesh.x[3 * i + 2] < 1e-9) pins[def.pin_count++] = i;
+            def.pins = pins;
+            def.beta_k = 0.01;
+            s = scene_of(mesh, SFEM_COROTATIONAL, 1e5, 0.3);
+            add_body(&s, &def, 0.5);
+            tool.kind = kind == 0 ? SFEM_OBSTACLE_SPHERE : kind == 1 ? SFEM_OBSTACLE_CAPSULE : SFEM_OBSTACLE_BOX;
+            tool.size[0] = kind == 2 ? 0.03 : 0.01;
+            tool.size[1] = kind == 2 ? 0.03 : 0.2; /* a needle that points down */
+            tool.size[2] = 0.03;
+            if (kind == 2) { /* a cube on its corner: x, y and z axes at equal angles to the vertical */
+                const double r[9] = {1 / sqrt(2.), -1 / sqrt(2.), 0,           1 / sqrt(6.), 1 / sqrt(6.), -2 / sqrt(6.),
+                                     1 / sqrt(3.), 1 / sqrt(3.),  1 / sqrt(3.)};
+                memcpy(tool.rotation, r, sizeof r);
+            }
+            tool.position[0] = 0.13;
+            tool.position[1] = 0.07;
+            tool.position[2] = 0.4 + (kind == 2 ? 0.03 * sqrt(3.) : kind == 1 ? 0.21 : 0.01) + (fast ? 0.15 : 0.002);
+            assert_ok(sfem_contact_add_obstacle(s.contact, &tool, &id, &err), err);
+            assert_ok(sfem_contact_move_obstacle(s.contact, id, tool.position, NULL, down, NULL, &err), err);
+            for (k = 0; k < (fast ? 1 : 10); ++k) {
+                step(&s, 1.0 / 120);
+                deepest = fmax(deepest, sfem_contact_get_info(s.contact).penetration);
+            }
+            point = sfem_contact_points(s.contact, &points);
+            assert_true(points > 0);
+            assert_true(point[0].normal[2] < -0.3);
+            sfem_contact_obstacle_force(s.contact, id, force, torque);
+            assert_true(force[2] > 0);
+            assert_true(deepest < 2e-3);
+            drop(&s);
+        }
+}
+
+/* Against the surface of a ball of many triangles, and of an open one, distances and normals are those of the sphere. */
+static void surfaces_are_as_far_as_spheres(void **unused)
+{
+    sfem_body_def def = sfem_default_body_def();
+    sfem_surface surface = surface_of_a_ball();
+    sfem_obstacle_def o = sfem_default_obstacle_def();
+    test_random random = {5};
+    sfem_error err;
+    int open, k;
+    (void)unused;
+    o.kind = SFEM_OBSTACLE_SURFACE;
+    for (open = 0; open < 2; ++open) {
+        const sfem_int all = surface.triangles;
+        if (open) surface.triangles -= surface.triangles / 4;
+        o.surface = &surface;
+        o.size[0] = open ? 0.05 : 0;
+        for (k = 0; k < 40; ++k) { /* a ball that comes from any side stops at its face */
+            const double angle = random_uniform(&random, 0, 2 * TEST_PI), z = random_uniform(&random, -1, 1);
+            const double d[3] = {sqrt(1 - z * z) * cos(angle), sqrt(1 - z * z) * sin(angle), z};
+            sfem_contact_point point;
+            sfem_int points, id;
+            scene s = scene_of(ball(0.02, 1), SFEM_COROTATIONAL, 1e6, 0.3);
+            add_body(&s, &def, 0.5);
+            assert_ok(sfem_contact_add_obstacle(s.contact, &o, &id, &err), err);
+            place_body(&s, 0, 0.25 * d[0], 0.25 * d[1], 0.25 * d[2]);
+            {
+                const size_t n = 3 * (size_t)s.mesh.nodes;
+                sfem_real *u = copy_displacement(&s, 0), *v = (sfem_real *)malloc(n * sizeof *v);
+                size_t i;
+                for (i = 0; i < n; ++i) v[i] = -30 * d[i % 3];
+                assert_ok(sfem_body_set_state(s.body[0], u, v, &err), err);
+                free(u);
+                free(v);
+            }
+            step(&s, 1.0 / 60);
+            sfem_contact_points(s.contact, &points);
+            if (open && !points) { /* it came through the hole */
+                drop(&s);
+                continue;
+            }
+            assert_true(points > 0);
+            point = *sfem_contact_points(s.contact, &points);
+            if (!open) {
+                const double r = sqrt(point.position[0] * point.position[0] + point.position[1] * point.position[1] +
+                                      point.position[2] * point.position[2]);
+                assert_near(r, 0.2, 0.03, 0); /* chords */
+                assert_true(point.normal[0] * d[0] + point.normal[1] * d[1] + point.normal[2] * d[2] > 0.9);
+            }
+            drop(&s);
+        }
+        surface.triangles = all;
+    }
+    o.size[0] = 0; /* open, and no thickness */
+    surface.triangles -= 3;
+    {
+        scene s = scene_of(block(1, 1), SFEM_COROTATIONAL, 1e6, 0.3);
+        assert_status(sfem_contact_add_obstacle(s.contact, &o, NULL, &err), SFEM_BAD_MESH);
+        assert_names(err, "open");
+        surface.x[4] = NAN;
+        assert_status(sfem_contact_add_obstacle(s.contact, &o, NULL, &err), SFEM_NOT_FINITE);
+        surface.x[4] = 0;
+        surface.tri[7] = 100000;
+        assert_status(sfem_contact_add_obstacle(s.contact, &o, NULL, &err), SFEM_BAD_MESH);
+        drop(&s);
+    }
+    free_surface(&surface);
 }
 
 /* Two plates that close on a ball, hold it without gravity and turn about its centre take it with them; their forces
@@ -1078,7 +1237,7 @@ static void a_body_with_slivers_is_dropped_and_thrown(void **unused)
             energy = middle_energy(&s, 0, x0, x1, 1.0 / 60);
             if (k == 0) start = energy;
             assert_true(energy <= start * (1 + 1e-9)); /* NaN fails, too */
-            deepest = fmax(deepest, -lowest(&s, 0));
+            deepest = fmax(deepest, sfem_contact_get_info(s.contact).penetration);
         }
         print_message("Y %g speed %g: deepest %g rejected %d\n", young[i], speed[i], deepest, (int)sfem_body_get_info(s.body[0]).rejected);
         assert_true(deepest < (speed[i] == 0 ? 2e-3 : 0.1));
@@ -1241,7 +1400,7 @@ static void leaping_and_broken_obstacles_do_no_harm(void **unused)
         for (c = 0; c < 3; ++c) fastest = fmax(fastest, fabs(x1[c] - x0[c]) * 60);
     }
     print_message("fastest %g at %g\n", fastest, x1[0]);
-    assert_true(fastest > 0.01 && fastest < 0.5);
+    assert_true(fastest > 0.01 && fastest < 1); /* push_speed is 0.5: elastic recovery adds to it */
     assert_true(x1[0] < 0.15);
     drop(&s);
 }
@@ -1320,6 +1479,8 @@ int main(void)
         cmocka_unit_test(an_elastic_bar_stays_at_a_wall_for_as_long_as_its_wave_takes),
         cmocka_unit_test(a_ball_on_a_plane_bears_the_force_of_hertz),
         cmocka_unit_test(a_slab_rests_on_obstacles_of_every_kind),
+        cmocka_unit_test(small_obstacles_do_not_slip_between_nodes),
+        cmocka_unit_test(surfaces_are_as_far_as_spheres),
         cmocka_unit_test(moving_plates_carry_a_ball_and_their_work_is_counted),
         cmocka_unit_test(filters_say_who_touches_whom),
         cmocka_unit_test(compliance_gives_way_in_proportion),
