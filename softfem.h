@@ -26657,7 +26657,7 @@ static void sfemi_contact_take_change(sfem_contact *c, sfemi_touch *t, sfem_real
 /* Of the response `after` - `before` to the changes dl of impulses, against what G has for it: dl.J dw/(dl.G dl). Above 1
  * the change would overshoot, as in a body so compressed that it is softer than at rest: it is divided by that, and stays
  * in its cones. */
-static sfem_real sfemi_contact_excess_of(const sfemi_touch *t, const sfem_real *before, const sfem_real *after)
+static sfem_real sfemi_contact_response(const sfemi_touch *t, const sfem_real *before, const sfem_real *after)
 {
     sfem_real does = 0;
     sfem_int i;
@@ -26668,13 +26668,13 @@ static sfem_real sfemi_contact_excess_of(const sfemi_touch *t, const sfem_real *
                 const size_t at = 3 * (size_t)t->row[i].node[k] + (size_t)a;
                 does += t->row[i].weight[k] * t->row[i].change[a] * (after[at] - (before ? before[at] : 0));
             }
-    return t->expected > 0 && does > t->expected ? does / t->expected : 1;
+    return t->expected > 0 ? does / t->expected : 1;
 }
 
-/* J: changes of impulses below a tenth of the tolerance are left out. */
+/* J: changes of impulses below the tolerance are left to the next step. */
 static sfem_real sfemi_contact_negligible(const sfem_contact *c, const sfemi_touch *t)
 {
-    return 0.01 * c->def.tolerance * c->def.tolerance * t->size;
+    return 0.1 * c->def.tolerance * c->def.tolerance * t->size;
 }
 
 /* ---- the trial ---- */
@@ -26711,7 +26711,7 @@ static sfem_status sfemi_contact_try(sfem_contact *c, sfem_int index, sfem_error
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     sfemi_island island;
     sfem_status status = SFEM_OK;
-    sfem_real part;
+    sfem_real part, response;
     int round;
     island.first = index;
     island.count = 1;
@@ -26723,16 +26723,18 @@ static sfem_status sfemi_contact_try(sfem_contact *c, sfem_int index, sfem_error
         size_t i;
         sfemi_contact_trial_velocity(c, t);
         SFEMI_TRY(sfemi_contact_detect(c, t, c->w, b->step.h, &found, err));
-        if (!t->rows) break;
+        if (!t->rows || (round > 0 && !found && !(t->change > sfemi_contact_negligible(c, t)))) break;
         SFEMI_TRY(sfemi_contact_press(c, island, 1, err));
         if (!(t->change > sfemi_contact_negligible(c, t))) break;
         sfemi_contact_transpose(t, 1, c->x);
         memcpy(c->y, c->x, n * sizeof *c->y);
         sfemi_contact_respond(c, t, c->y);
-        part = 1 / sfemi_contact_excess_of(t, NULL, c->y);
+        response = sfemi_contact_response(t, NULL, c->y);
+        part = 1 / fmax(1.0, response);
         sfemi_contact_take_change(c, t, part);
         for (i = 0; i < n; ++i) b->acc[i] += part * c->y[i] / b->step.d;
         SFEMI_TRY(sfemi_method_check_acceleration(b, err));
+        t->change *= fabs(part * response - 1); /* what is left of it, about */
     }
     b->phase = SFEMI_SOLVED;
     if (b->scheme.rotates) sfemi_safeguard_advance(b);
@@ -26836,7 +26838,7 @@ static void sfemi_contact_redirect(sfem_contact *c, sfemi_touch *t)
     sfemi_contact_owe(c, t, 1);
     sfemi_contact_pay(t, -1, g->dir);
     for (i = 0; i < n; ++i) g->other[i] = -g->dir[i];
-    excess = sfemi_contact_excess_of(t, c->w, g->other);
+    excess = fmax(1.0, sfemi_contact_response(t, c->w, g->other));
     t->astray = excess > 4;
     if (excess > 1) {
         sfemi_contact_owe(c, t, 1 / excess - 1);
@@ -26974,7 +26976,7 @@ static sfem_status sfemi_contact_separate(sfem_contact *c, sfemi_island island, 
             sfemi_contact_transpose(t, 1, c->x);
             memcpy(c->y, c->x, n * sizeof *c->y);
             sfemi_contact_respond(c, t, c->y);
-            part = 1 / sfemi_contact_excess_of(t, NULL, c->y);
+            part = 1 / fmax(1.0, sfemi_contact_response(t, NULL, c->y));
             sfemi_contact_take_change(c, t, part);
             for (at = 0; at < n; ++at) {
                 b->safeguard.w[at] += part * c->y[at];
@@ -27084,7 +27086,7 @@ static sfem_status sfemi_contact_correct(sfem_contact *c, sfemi_island island, s
         SFEMI_TRY(sfemi_contact_open(c, t, err));
         if (t->done) continue;
         if (head->estimate > 0 && head->estimate * t->cheap < 10 * b->def.accuracy * head->scale &&
-            head->skipped < SKIPS && t->change <= 1e-9 * t->size && sfemi_safeguard_accepts(b, &e, &budget)) {
+            head->skipped < SKIPS && t->change <= sfemi_contact_negligible(c, t) && sfemi_safeguard_accepts(b, &e, &budget)) {
             ++head->skipped;
             t->done = 1;
             if (b->schur.count) sfemi_correct_find_handle_forces(b);
