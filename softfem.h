@@ -1632,7 +1632,7 @@ typedef struct sfem_contact sfem_contact;
 
 typedef struct sfem_contact_def {
     sfem_int sweeps;           /* of Gauss-Seidel for a system of cones, at most, >= 1; 30 */
-    sfem_real tolerance;       /* they end where impulses change by less than this part, >= 0; 1e-5 */
+    sfem_real tolerance;       /* they end where impulses change by less than this part, >= 0; 1e-6 */
     sfem_real push_share;      /* of a penetration that is taken back in a step, 0 to 1; 0.2 */
     sfem_real push_speed;      /* m/s, at most, >= 0; 0.5. It is work done on the body */
     sfem_int max_contacts;     /* of all bodies together, >= 1; 4096 */
@@ -25175,7 +25175,8 @@ typedef struct sfemi_touch { /* a body */
     /* the step under way */
     int sleep, asleep, rests;  /* rests: it goes on sleeping */
     int fallback, done;
-    int astray;                /* corrections respond to impulses several times as much as G has it */
+    int lost;                  /* corrections have diverged: the step is to be rejected */
+    sfem_real arriving;        /* J, what the body brings to the contacts along their normal */
     sfemi_equation q;
     sfem_real tolerance, first, last, rate, cheap, decrement;
     sfem_real change, size;    /* J, of the impulses in the last system, and theirs */
@@ -26674,7 +26675,7 @@ static sfem_real sfemi_contact_response(const sfemi_touch *t, const sfem_real *b
 /* J: changes of impulses below the tolerance are left to the next step. */
 static sfem_real sfemi_contact_negligible(const sfem_contact *c, const sfemi_touch *t)
 {
-    return 0.1 * c->def.tolerance * c->def.tolerance * t->size;
+    return c->def.tolerance * c->def.tolerance * t->size;
 }
 
 /* ---- the trial ---- */
@@ -26689,7 +26690,7 @@ static sfem_status sfemi_contact_begin(sfem_contact *c, sfemi_touch *t, sfem_rea
     size_t at;
     b->rotated.by_hand = t->rows > 0;
     b->kicked = 0;
-    t->fallback = 0;
+    t->fallback = t->lost = 0;
     status = sfemi_body_predict(b, h, err);
     if (status != SFEM_OK || !t->rows) return status;
     for (i = 0; i < t->rows; ++i)
@@ -26734,7 +26735,7 @@ static sfem_status sfemi_contact_try(sfem_contact *c, sfem_int index, sfem_error
         sfemi_contact_take_change(c, t, part);
         for (i = 0; i < n; ++i) b->acc[i] += part * c->y[i] / b->step.d;
         SFEMI_TRY(sfemi_method_check_acceleration(b, err));
-        t->change *= fabs(part * response - 1); /* what is left of it, about */
+        t->change *= fmax(fabs(part * response - 1), 0.01); /* what is left of it, about: along it, and across */
     }
     b->phase = SFEMI_SOLVED;
     if (b->scheme.rotates) sfemi_safeguard_advance(b);
@@ -26812,11 +26813,12 @@ static void sfemi_contact_aim(sfemi_touch *t)
     }
     if (!t->fallback) sfemi_correct_recall(b, &t->q);
     t->first = t->last = 0;
-    t->done = 0;
+    t->done = t->lost = 0;
 }
 
-/* After the cones: the direction with their impulses. */
-static void sfemi_contact_redirect(sfem_contact *c, sfemi_touch *t)
+/* After the cones: the direction with their impulses. 0: pairs of L-BFGS, of a place where the body was all but unstable,
+ * are no guide; without them, again. */
+static int sfemi_contact_redirect(sfem_contact *c, sfemi_touch *t)
 {
     sfem_body *b = t->body;
     sfemi_safeguard *g = &b->safeguard;
@@ -26839,7 +26841,13 @@ static void sfemi_contact_redirect(sfem_contact *c, sfemi_touch *t)
     sfemi_contact_pay(t, -1, g->dir);
     for (i = 0; i < n; ++i) g->other[i] = -g->dir[i];
     excess = fmax(1.0, sfemi_contact_response(t, c->w, g->other));
-    t->astray = excess > 4;
+    if (g->pairs && (excess > 4 || !(sfemi_correct_dot(g->dir, g->grad, n) > 0))) {
+        sfemi_contact_owe(c, t, -1);
+        for (i = 0; i < n; ++i) g->grad[i] += c->y[i];
+        g->pairs = g->made = 0;
+        g->dropped = 1;
+        return 0;
+    }
     if (excess > 1) {
         sfemi_contact_owe(c, t, 1 / excess - 1);
         for (i = 0; i < n; ++i) {
@@ -26850,6 +26858,7 @@ static void sfemi_contact_redirect(sfem_contact *c, sfemi_touch *t)
     sfemi_contact_take_change(c, t, 1 / excess);
     for (i = 0; i < n; ++i) g->external[i] += over * c->x[i];
     t->decrement = t->q.h * sfemi_correct_dot(g->dir, g->grad, n);
+    return 1;
 }
 
 /* One correction of a body, along guard.dir. Sets done where no more is to be gained. */
@@ -26859,8 +26868,14 @@ static void sfemi_contact_correct_body(sfem_contact *c, sfemi_touch *t)
     sfemi_safeguard *g = &b->safeguard;
     sfem_real length = 0, left;
     sfem_int k;
-    t->astray = 0;
-    if (t->change > sfemi_contact_negligible(c, t) || t->change > 1e-3 * t->tolerance) sfemi_contact_redirect(c, t);
+    if ((t->change > sfemi_contact_negligible(c, t) || t->change > 1e-3 * t->tolerance) && !sfemi_contact_redirect(c, t)) {
+        ++g->corrections;
+        return;
+    }
+    if (t->first > 0 && !(t->decrement < 1e3 * (t->first + b->state.head->scale))) {
+        t->done = t->lost = 1; /* it goes nowhere */
+        return;
+    }
     if (t->first == 0) {
         t->first = t->decrement;
         if (t->fallback) t->tolerance = fmin(t->tolerance, 0.01 * (t->q.moving + t->first));
@@ -26873,7 +26888,7 @@ static void sfemi_contact_correct_body(sfem_contact *c, sfemi_touch *t)
         t->done = 1;
         return;
     }
-    if (!(length > 0) || t->astray) { /* pairs of a place where the body was all but unstable are no guide */
+    if (!(length > 0)) {
         g->pairs = g->made = 0;
         g->dropped = 1;
     }
@@ -27011,7 +27026,7 @@ static sfem_real sfemi_contact_mean_normal(const sfemi_touch *t, sfem_real norma
 
 /* S, the energy in motion, has what the contacts do, and for the safeguard what the body brings to them, along their
  * normal: a free fall has none. */
-static void sfemi_contact_raise_scale(sfemi_touch *t, int arriving)
+static void sfemi_contact_raise_scale(sfemi_touch *t, int working, int arriving)
 {
     sfem_body *b = t->body;
     const sfem_real *w = b->state.w, *w1 = b->safeguard.w;
@@ -27019,7 +27034,7 @@ static void sfemi_contact_raise_scale(sfemi_touch *t, int arriving)
     const sfem_real speed = sfemi_contact_mean_normal(t, normal);
     sfem_int i, p;
     int k, a;
-    for (i = 0; i < t->rows; ++i)
+    for (i = 0; working && i < t->rows; ++i)
         for (k = 0; k < t->row[i].parts; ++k)
             for (a = 0; a < 3; ++a) {
                 const size_t at = 3 * (size_t)t->row[i].node[k] + (size_t)a;
@@ -27035,6 +27050,7 @@ static void sfemi_contact_raise_scale(sfemi_touch *t, int arriving)
             if (!piece->held) fall += piece->mass * v * v / 2;
         }
     }
+    if (arriving) t->arriving = fall;
     b->state.head->scale = fmax(b->state.head->scale, fmax(fmax(fabs(work), fabs(half)), fall));
 }
 
@@ -27082,7 +27098,7 @@ static sfem_status sfemi_contact_correct(sfem_contact *c, sfemi_island island, s
             t->done = 1;
             continue;
         }
-        sfemi_contact_raise_scale(t, 0);
+        sfemi_contact_raise_scale(t, 1, 0);
         SFEMI_TRY(sfemi_contact_open(c, t, err));
         if (t->done) continue;
         if (head->estimate > 0 && head->estimate * t->cheap < 10 * b->def.accuracy * head->scale &&
@@ -27121,7 +27137,71 @@ done:
     return status;
 }
 
+/* The work of the impulses on the velocities (part w + w') in the step beyond what they can do: obstacles that stand still
+ * give none. What there is of it comes of impulses and velocities that do not belong together. */
+static sfem_real sfemi_contact_surplus(const sfem_contact *c, const sfemi_touch *t, sfem_real before, sfem_real after)
+{
+    const sfem_real *w = t->body->state.w, *w1 = t->body->safeguard.w;
+    sfem_real work = 0;
+    sfem_int i;
+    int k, a;
+    for (i = 0; i < t->rows; ++i) {
+        const sfemi_row *row = t->row + i;
+        const sfem_real out = row->rigid ? sfemi_contact_push_speed(c, row, t->body->step.h) : 0;
+        for (k = 0; k < row->parts; ++k)
+            for (a = 0; a < 3; ++a) {
+                const size_t at = 3 * (size_t)row->node[k] + (size_t)a;
+                work += row->weight[k] * row->impulse[a] * (before * w[at] + after * w1[at]);
+            }
+        work -= fmax(0.0, sfemi_dot3(row->impulse, row->speed)) + fmax(out, row->bounce) * sfemi_dot3(row->impulse, row->axes);
+    }
+    return fmax(0.0, work);
+}
+
 /* ---- rejected steps ---- */
+
+/* A fallback, or its second stage, starts from no impulses: those of an iteration that was lost may be anything. */
+static void sfemi_contact_start_fallback(sfemi_touch *t)
+{
+    sfem_body *b = t->body;
+    const size_t bytes = 3 * (size_t)b->model->mesh.nodes * sizeof(sfem_real);
+    sfem_int i;
+    for (i = 0; i < t->rows; ++i) memset(t->row[i].impulse, 0, sizeof t->row[i].impulse);
+    memset(b->kick, 0, bytes);
+    memset(b->safeguard.added, 0, bytes); /* nobody else adds to the steps of a sfem_contact */
+    b->kicked = 1;
+    t->fallback = b->safeguard.rejected = 1;
+    b->state.head->scale = fmax(b->before.scale, t->arriving);
+    t->tolerance = fmax(sfemi_safeguard_open_fallback(b, &t->q), 1e-6 * b->state.head->scale);
+    t->q.touches = 1;
+}
+
+/* Where even that ends deep inside of an obstacle, as where a body was flattened in a step and had to be moved rigidly, it
+ * stays where it was, with the velocity that it has got. */
+static void sfemi_contact_stay(sfemi_touch *t)
+{
+    sfem_body *b = t->body;
+    sfemi_safeguard *g = &b->safeguard;
+    const sfem_real *rest = b->model->mesh.x;
+    sfem_real deepest = 0, excess;
+    sfem_int i;
+    int k, a;
+    for (i = 0; i < t->rows; ++i) {
+        const sfemi_row *row = t->row + i;
+        sfem_real gap = -sfemi_dot3(row->axes, row->place) - row->least;
+        for (k = 0; k < row->parts; ++k)
+            for (a = 0; a < 3; ++a) {
+                const size_t at = 3 * (size_t)row->node[k] + (size_t)a;
+                gap += row->weight[k] * row->axes[a] * (rest[at] + g->u[at]);
+            }
+        deepest = fmax(deepest, -gap);
+    }
+    if (!(deepest > 0.1 * t->edge) || b->schur.count || b->pin_count) return;
+    memcpy(g->u, b->state.u, 3 * (size_t)b->model->mesh.nodes * sizeof *g->u);
+    g->psi = sfemi_safeguard_forces(b, g->u, g->f);
+    excess = sfemi_safeguard_excess(b);
+    if (excess > 0) sfemi_safeguard_slow_down(b, excess, 1);
+}
 
 static sfem_status sfemi_contact_fall_back(sfem_contact *c, sfemi_island island, sfem_error *err)
 {
@@ -27132,9 +27212,8 @@ static sfem_status sfemi_contact_fall_back(sfem_contact *c, sfemi_island island,
         sfemi_touch *t = c->touch + i;
         SFEMI_CONTACT_LIST(c, t->owed, t->owed_room, 6 * t->body->rotated.pieces);
         memset(t->owed, 0, 6 * (size_t)t->body->rotated.pieces * sizeof *t->owed);
-        t->tolerance = fmax(sfemi_safeguard_open_fallback(t->body, &t->q), 1e-4 * t->body->state.head->scale);
-        t->fallback = t->body->safeguard.rejected = t->q.touches = 1;
         t->factor = sfemi_body_active(t->body);
+        sfemi_contact_start_fallback(t);
     }
     for (stage = 0, busy = 1; busy && stage < 2; ++stage) {
         for (i = island.first; i < island.first + island.count; ++i) {
@@ -27143,6 +27222,7 @@ static sfem_status sfemi_contact_fall_back(sfem_contact *c, sfemi_island island,
                 SFEMI_TRY(sfemi_safeguard_prepare_isotropic(t->body, err));
                 sfemi_safeguard_find_columns(t->body, t->body->safeguard.isotropic);
                 t->factor = t->body->safeguard.isotropic;
+                if (t->lost) sfemi_contact_start_fallback(t);
                 t->tolerance *= 0.01;
             }
             t->rate = 0.3;
@@ -27158,8 +27238,13 @@ static sfem_status sfemi_contact_fall_back(sfem_contact *c, sfemi_island island,
     }
     SFEMI_TRY(sfemi_contact_separate(c, island, err));
     for (i = island.first; i < island.first + island.count; ++i) {
-        sfemi_safeguard_keep_momentum(c->touch[i].body);
-        sfemi_safeguard_close_fallback(c->touch[i].body, &c->touch[i].q);
+        sfemi_touch *t = c->touch + i;
+        const sfem_real surplus = sfemi_contact_surplus(c, t, 0, 1); /* not to be had */
+        sfemi_safeguard_keep_momentum(t->body);
+        t->body->state.head->budget -= surplus;
+        t->body->state.head->last -= surplus;
+        sfemi_safeguard_close_fallback(t->body, &t->q);
+        sfemi_contact_stay(t);
     }
 done:
     for (i = island.first; i < island.first + island.count; ++i)
@@ -27173,6 +27258,7 @@ static int sfemi_contact_accepts(sfemi_touch *t, sfemi_safeguard_energies *e, sf
 {
     sfem_body *b = t->body;
     sfem_real *added = b->safeguard.added, half, scale;
+    if (t->lost) return 0;
     if (sfemi_safeguard_accepts(b, e, budget)) return 1;
     b->safeguard.added = b->kick;
     half = sfemi_safeguard_outer_work(b, 0.5, 0, 0, 0) / sfemi_contact_span(t);
@@ -27201,12 +27287,13 @@ static sfem_status sfemi_contact_judge(sfem_contact *c, sfemi_island island, sfe
         }
         other = sfemi_resume_falls_back(b, b->step.h);
         g->rejected = g->measured = 0;
-        sfemi_contact_raise_scale(t, 1);
+        sfemi_contact_raise_scale(t, !t->lost, 1);
         if (other) b->state.head->budget = b->state.head->last;
         if (!b->scheme.guarded && !other) continue;
         t->budget = b->state.head->budget;
         b->state.head->budget += sfemi_contact_impact_work(t);
-        g->measured = !other && sfemi_contact_accepts(t, &g->energies, &budget);
+        g->measured = !other && sfemi_contact_accepts(t, &g->energies, &budget) &&
+                      sfemi_contact_surplus(c, t, 0.5, 0.5) <= b->state.head->scale;
         b->state.head->budget = t->budget;
         if (g->measured) t->budget = budget;
         rejected |= !g->measured;
@@ -27480,7 +27567,7 @@ SFEM_DEF sfem_contact_def sfem_default_contact_def(void)
     sfem_contact_def d;
     memset(&d, 0, sizeof d);
     d.sweeps = 30;
-    d.tolerance = 1e-5;
+    d.tolerance = 1e-6;
     d.push_share = 0.2;
     d.push_speed = 0.5;
     d.max_contacts = 4096;
