@@ -276,7 +276,6 @@ static double acceleration_error(double degrees, double friction)
         v[1] += along[c] * (x[3][c] - x[2][c]) / h;
     }
     drop(&s);
-    print_message("%g %g: %.3g\n", degrees, friction, (v[1] - v[0]) / (44 * h) / exact - 1);
     return fabs((v[1] - v[0]) / (44 * h) / exact - 1);
 }
 
@@ -395,7 +394,6 @@ static void a_ball_keeps_its_energy_where_steps_resolve_the_bounce(void **unused
 {
     const bounce slow = bounce_at(60), fast = bounce_at(240), faster = bounce_at(480);
     (void)unused;
-    print_message("kept %.3f %.3f %.3f restitution %.3f %.3f %.3f\n", slow.kept, fast.kept, faster.kept, slow.restitution, fast.restitution, faster.restitution);
     assert_true(slow.restitution >= 0.6 && slow.restitution <= 1);
     assert_true(fast.kept >= 0.87 && fast.kept <= 1 + 1e-9);
     assert_true(faster.kept >= 0.95 && faster.kept <= 1 + 1e-9);
@@ -428,7 +426,6 @@ static void restitution_is_what_was_asked_for(void **unused)
                 if (!touched) in = (x0[2] - x1[2]) / h;
                 out = fmax(out, (x1[2] - x0[2]) / h);
             }
-            print_message("shape %d asked %g restitution %.3f\n", shape, asked[i], out / in);
             assert_near(out / in, asked[i], 0, 0.1);
             drop(&s);
         }
@@ -647,7 +644,6 @@ static void a_hundred_balls_in_a_box(void **unused)
         rejected += sfem_body_get_info(s.body[i]).rejected;
         steps += sfem_body_get_info(s.body[i]).steps;
     }
-    print_message("rejected %d of %d, deepest %g\n", (int)rejected, (int)steps, deepest);
     assert_true((double)rejected < 0.01 * (double)steps);
     assert_true(deepest < 5e-3);
     drop(&s);
@@ -761,7 +757,6 @@ static void an_elastic_bar_stays_at_a_wall_for_as_long_as_its_wave_takes(void **
     centre(&s, 0, x0);
     step(&s, h);
     centre(&s, 0, x1);
-    print_message("stay %.4f force %.4f leaves %.4f\n", (last - first) / stay, middle / in_middle / (1000 * c * speed * area), (x1[2] - x0[2]) / h / speed);
     assert_near(last - first, stay, 0.05, 0);
     assert_near(middle / in_middle, 1000 * c * speed * area, 0.02, 0);
     assert_near((x1[2] - x0[2]) / h, speed, 0.05, 0);
@@ -815,7 +810,6 @@ static void a_ball_on_a_plane_bears_the_force_of_hertz(void **unused)
         settle(&s, 0.05, 120);
         sfem_contact_obstacle_force(s.contact, s.floor, force, torque);
         found[k] = -force[2] / hertz;
-        print_message("depth %g force %.4f of Hertz', contacts %d\n", depth[k], found[k], sfem_contact_get_info(s.contact).contacts);
     }
     for (k = 0; k < 2; ++k) assert_near(found[k], 1, 0, 0.05);
     free(pins);
@@ -918,7 +912,6 @@ static void a_slab_rests_on_obstacles_of_every_kind(void **unused)
             step(&s, 1.0 / 60);
             deepest = fmax(deepest, sfem_contact_get_info(s.contact).penetration);
         }
-        print_message("kind %d deepest %g end %g rejected %d\n", (int)kinds[i], deepest, sfem_contact_get_info(s.contact).penetration, (int)sfem_body_get_info(s.body[0]).rejected);
         assert_true(deepest < 5e-3);
         assert_true(sfem_contact_get_info(s.contact).penetration < 1e-4);
         sfem_contact_obstacle_force(s.contact, id, force, torque);
@@ -926,7 +919,6 @@ static void a_slab_rests_on_obstacles_of_every_kind(void **unused)
         sum = force[2];
         sfem_contact_obstacle_force(s.contact, s.floor, force, torque);
         sum += force[2];
-        print_message("kind %d deepest %g weight %.4f rejected %d\n", (int)kinds[i], deepest, -sum / s.mass / GRAVITY, (int)sfem_body_get_info(s.body[0]).rejected);
         assert_near(sum, -s.mass * GRAVITY, 0.05, 0);
         free_surface(&surface);
         drop(&s);
@@ -995,7 +987,7 @@ static void surfaces_are_as_far_as_spheres(void **unused)
     sfem_obstacle_def o = sfem_default_obstacle_def();
     test_random random = {5};
     sfem_error err;
-    int open, k;
+    int open, k, at_it = 0;
     (void)unused;
     o.kind = SFEM_OBSTACLE_SURFACE;
     for (open = 0; open < 2; ++open) {
@@ -1008,7 +1000,7 @@ static void surfaces_are_as_far_as_spheres(void **unused)
             const double d[3] = {sqrt(1 - z * z) * cos(angle), sqrt(1 - z * z) * sin(angle), z};
             sfem_contact_point point;
             sfem_int points, id;
-            scene s = scene_of(ball(0.02, 1), SFEM_COROTATIONAL, 1e6, 0.3);
+            scene s = scene_of(ball(0.02, 2), SFEM_COROTATIONAL, 1e8, 0.3); /* all but rigid */
             add_body(&s, &def, 0.5);
             assert_ok(sfem_contact_add_obstacle(s.contact, &o, &id, &err), err);
             place_body(&s, 0, 0.25 * d[0], 0.25 * d[1], 0.25 * d[2]);
@@ -1029,15 +1021,23 @@ static void surfaces_are_as_far_as_spheres(void **unused)
             }
             assert_true(points > 0);
             point = *sfem_contact_points(s.contact, &points);
-            if (!open) {
-                const double r = sqrt(point.position[0] * point.position[0] + point.position[1] * point.position[1] +
-                                      point.position[2] * point.position[2]);
-                assert_near(r, 0.2, 0.03, 0); /* chords */
+            if (!open) { /* the nearest node is at the sphere, but for chords of 3 % */
+                const sfem_real *u = sfem_body_displacement(s.body[0]);
+                double nearest = 1;
+                sfem_int i;
+                for (i = 0; i < s.mesh.nodes; ++i) {
+                    const double x[3] = {s.mesh.x[3 * i] + u[3 * i], s.mesh.x[3 * i + 1] + u[3 * i + 1],
+                                         s.mesh.x[3 * i + 2] + u[3 * i + 2]};
+                    nearest = fmin(nearest, sqrt(x[0] * x[0] + x[1] * x[1] + x[2] * x[2]));
+                }
+                assert_true(nearest > 0.194);
+                at_it += nearest < 0.206; /* the others: steps that were rejected and ended before it */
                 assert_true(point.normal[0] * d[0] + point.normal[1] * d[1] + point.normal[2] * d[2] > 0.9);
             }
             drop(&s);
         }
         surface.triangles = all;
+        if (!open) assert_true(at_it > 32);
     }
     o.size[0] = 0; /* open, and no thickness */
     surface.triangles -= 3;
@@ -1187,7 +1187,6 @@ static void overlaps_are_pushed_out_slowly(void **unused)
         fastest = fmax(fastest, (x1[2] - x0[2]) * 60);
         pushed += sfem_contact_get_info(s.contact).pushed > 0;
     }
-    print_message("fastest %g lowest %g pushed %d\n", fastest, lowest(&s, 0), pushed);
     assert_true(pushed > 0);
     assert_true(lowest(&s, 0) > -1e-3);
     assert_true(fastest < 1); /* push_speed is 0.5: elastic recovery adds to it */
@@ -1272,7 +1271,6 @@ static void a_body_with_slivers_is_dropped_and_thrown(void **unused)
             assert_true(energy <= start * (1 + 1e-9)); /* NaN fails, too */
             deepest = fmax(deepest, sfem_contact_get_info(s.contact).penetration);
         }
-        print_message("Y %g speed %g: deepest %g rejected %d\n", young[i], speed[i], deepest, (int)sfem_body_get_info(s.body[0]).rejected);
         assert_true(deepest < (speed[i] == 0 ? 2e-3 : 0.1));
         drop(&s);
     }
@@ -1432,7 +1430,6 @@ static void leaping_and_broken_obstacles_do_no_harm(void **unused)
         centre(&s, 0, x1);
         for (c = 0; c < 3; ++c) fastest = fmax(fastest, fabs(x1[c] - x0[c]) * 60);
     }
-    print_message("fastest %g at %g\n", fastest, x1[0]);
     assert_true(fastest > 0.01 && fastest < 1); /* push_speed is 0.5: elastic recovery adds to it */
     assert_true(x1[0] < 0.15);
     drop(&s);
