@@ -52,9 +52,9 @@ help: ## print this list
 	@grep -E '^[a-z-]+:.*## ' Makefile | sed -E 's/^([a-z-]+):.*## (.*)/  make \1|\2/' | \
 	    awk -F'|' '{ printf "%-20s %s\n", $$1, $$2 }'
 
-RUN = simulate crush modes grab stream fracture
+RUN = simulate crush modes grab stream fracture drop gripper
 
-run: $(RUN:%=$(BUILD)/examples/%) ## bars swing, are crushed, vibrate, are grabbed, streamed, broken
+run: $(RUN:%=$(BUILD)/examples/%) ## bars swing, are crushed, vibrate, are grabbed, streamed, broken; dropped, gripped
 	@for x in $(RUN); do echo "== $$x"; $(BUILD)/examples/$$x --out $(BUILD)/$$x || exit 1; done
 
 test: check check-examples ## build and run every test, and every example once
@@ -64,6 +64,9 @@ bench: $(BUILD)/bench/bench ## set-up, factor, solve, step and memory by body si
 
 bench-sleep: $(BUILD)/bench/sleep ## a step of a sleeping body, and what watching for sleep costs
 	$(ENVIRONMENT) $(BUILD)/bench/sleep
+
+bench-contact: $(BUILD)/bench/contact ## a step in contact over one without; first touch; the worst step of a drop
+	OMP_THREAD_LIMIT=1 $(BUILD)/bench/contact
 
 bench-scalar: $(BUILD)/bench/scalar ## a matrix S (x) I by the factor of S beside that of 3x3 blocks
 	$(ENVIRONMENT) $(BUILD)/bench/scalar

@@ -148,7 +148,7 @@
 #error "softfem.h: SFEM_ENABLE_BODY and SFEM_NO_BODY are both defined: define only one of them"
 #endif
 #if defined(SFEM_ENABLE_CONTACT) && (defined(SFEM_NO_CONTACT) || defined(SFEM_NO_BODY))
-#error "softfem.h: contact is of bodies: SFEM_ENABLE_CONTACT goes with neither SFEM_NO_CONTACT nor SFEM_NO_BODY"
+#error "softfem.h: SFEM_ENABLE_CONTACT brings bodies: with it define neither SFEM_NO_CONTACT nor SFEM_NO_BODY"
 #endif
 #if defined(SFEM_NO_BODY) && !defined(SFEM_NO_CONTACT)
 #define SFEM_NO_CONTACT
