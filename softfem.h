@@ -25972,7 +25972,7 @@ static int sfemi_contact_face_meets(const sfemi_touch *t, const sfemi_obstacle *
     }
     s = sfemi_obstacle_distance(o, middle, n);
     if (o->safe * s > size + way) return 0;
-    times = way > size ? way / size < MOST ? 1 + (int)(way / size) : MOST : 1;
+    times = way > size ? 1 + (int)fmin(way / size, (sfem_real)MOST - 1) : 1;
     for (k = 1; k <= times; ++k) { /* on its way */
         const sfem_real share = (sfem_real)k / times;
         sfem_real nodes = 1e300;

@@ -26,7 +26,7 @@ static const ex_option table[] = {
     {"--restitution", "E", "0", "of each node; 0: what comes back is what the body stores"},
     {"--height", "H", "0.6", "of its lowest point, m"},
     {"--dt", "H", "0.016666666666666667", "time step, s"},
-    {"--seconds", "T", "9", "it is dragged from 3/8 to 1/2 of that"},
+    {"--seconds", "T", "10", "it is dragged from 3/8 to 1/2 of that"},
     {"--out", "DIR", "build/drop", "where files go"},
     {"--quick", NULL, NULL, "a small run: a coarse body"},
     {NULL, NULL, NULL, NULL}};
@@ -117,8 +117,8 @@ static void make_scene(run *r)
     model.material.density = 1000;
     must(sfem_model_create(&model, &r->model, &err), &err);
     def.gravity[2] = -9.81;
-    def.beta_k = 0.005;
-    def.alpha = 1;
+    def.beta_k = 0.01;
+    def.alpha = 2;
     def.sleep_tolerance = 0.02;
     must(sfem_body_create(r->model, &def, &r->body, &err), &err);
     surface.friction = ex_real(&r->o, "--friction");
