@@ -119,7 +119,7 @@ static void make_scene(run *r)
     def.gravity[2] = -9.81;
     def.beta_k = 0.01;
     def.alpha = 2;
-    def.sleep_tolerance = 0.02;
+    def.sleep_tolerance = 0.05;
     must(sfem_body_create(r->model, &def, &r->body, &err), &err);
     surface.friction = ex_real(&r->o, "--friction");
     surface.restitution = ex_real(&r->o, "--restitution");
