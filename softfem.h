@@ -25978,6 +25978,8 @@ static int sfemi_contact_face_meets(const sfemi_touch *t, const sfemi_obstacle *
         sfem_real nodes = 1e300;
         if (k < times) sfemi_contact_face_at(t, o, tri, w, share * h, share, corner);
         else sfemi_contact_face_at(t, o, tri, w, h, 1, corner);
+        for (c = 0; c < 3; ++c) middle[c] = (corner[c] + corner[3 + c] + corner[6 + c]) / 3;
+        if (o->safe * sfemi_obstacle_distance(o, middle, n) > size) continue;
         for (c = 0; c < 3; ++c) nodes = fmin(nodes, sfemi_obstacle_distance(o, corner + 3 * c, n));
         s = sfemi_contact_face_depth(o, corner, size, weight);
         if (s < -1e-3 * t->edge && s < nodes - 0.02 * size) return 1;
