@@ -1637,7 +1637,7 @@ typedef struct sfem_contact_def {
     sfem_real push_speed;      /* m/s, at most, >= 0; 0.5. It is work done on the body */
     sfem_int max_contacts;     /* of all bodies together, >= 1; 4096 */
     size_t cache_bytes;        /* for columns of A^-1, 36 bytes for each pair of nodes; 256 MB. Where they do not suffice,
-                                * those that have not been of use for longest go */
+                                * those that have not been of use for longest go; those of the step under way stay */
     sfem_allocator allocator;
 } sfem_contact_def;
 SFEM_DEF sfem_contact_def sfem_default_contact_def(void);
