@@ -117,6 +117,9 @@ bench-embed: $(BUILD)/bench/embed ## render surfaces that follow bodies: ns a po
 bench-sleep: $(BUILD)/bench/sleep ## a step of a sleeping body, and what watching for sleep costs
 	$(ENVIRONMENT) $(BUILD)/bench/sleep
 
+bench-contact: $(BUILD)/bench/contact ## a step in contact over one without; first touch; the worst step of a drop
+	OMP_THREAD_LIMIT=1 $(BUILD)/bench/contact
+
 bench-scalar: $(BUILD)/bench/scalar ## a matrix S (x) I by the factor of S beside that of 3x3 blocks
 	$(ENVIRONMENT) $(BUILD)/bench/scalar
 

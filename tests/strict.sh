@@ -11,9 +11,9 @@ BUILD=${BUILD:-build/strict}
 COMPILERS=${COMPILERS:-gcc clang}
 STANDARDS='c99 c11 c17 c++11 c++17 c++20'
 SWITCHES='plain SFEM_STATIC O2 O3 m32 openmp SFEM_NO_STDIO SFEM_NO_DISPATCH'
-PARTS='SFEM_NO_MESHIO SFEM_NO_MESHER SFEM_NO_EMBED SFEM_NO_BODY SFEM_NO_DAMAGE SFEM_NO_NEWTON SFEM_NO_LINK SFEM_NO_REDUCED SFEM_NO_MODES
+PARTS='SFEM_NO_MESHIO SFEM_NO_MESHER SFEM_NO_EMBED SFEM_NO_BODY SFEM_NO_DAMAGE SFEM_NO_NEWTON SFEM_NO_CONTACT SFEM_NO_LINK SFEM_NO_REDUCED SFEM_NO_MODES
     SFEM_NO_MODEL SFEM_MINIMAL SFEM_ENABLE_MESHIO SFEM_ENABLE_MESHER SFEM_ENABLE_EMBED SFEM_ENABLE_MODEL SFEM_ENABLE_BODY
-    SFEM_ENABLE_DAMAGE SFEM_ENABLE_NEWTON SFEM_ENABLE_MODES SFEM_ENABLE_REDUCED SFEM_ENABLE_LINK SFEM_DEF'
+    SFEM_ENABLE_DAMAGE SFEM_ENABLE_NEWTON SFEM_ENABLE_CONTACT SFEM_ENABLE_MODES SFEM_ENABLE_REDUCED SFEM_ENABLE_LINK SFEM_DEF'
 WARNINGS='-Werror -Wall -Wextra -Wpedantic -Wconversion -Wshadow'
 
 # command COMPILER STANDARD: what compiles that, without files; nothing if it is not installed
@@ -268,6 +268,17 @@ static int steps(sfem_model *model)
     sfem_body_def def = sfem_default_body_def();
     sfem_body *body = 0;
     good &= sfem_body_create(model, &def, &body, 0) == SFEM_OK && sfem_body_step(body, 0.01, 0) == SFEM_OK;
+#ifndef SFEM_NO_CONTACT
+    {
+        const sfem_obstacle_def floor = sfem_default_obstacle_def();
+        sfem_contact *contact = 0;
+        good &= sfem_contact_create(0, &contact, 0) == SFEM_OK &&
+                sfem_contact_add_body(contact, body, 0, 1, 0, 0) == SFEM_OK &&
+                sfem_contact_add_obstacle(contact, &floor, 0, 0) == SFEM_OK &&
+                sfem_contact_step(contact, 0.01, 0) == SFEM_OK;
+        sfem_contact_free(contact);
+    }
+#endif
     sfem_body_free(body);
     good &= breaks(model) && iterates(model);
 #endif
@@ -310,7 +321,7 @@ END
 for compiler in $COMPILERS; do
     command=$(command_for "$compiler" c99) || continue
     for switches in SFEM_NO_REDUCED 'SFEM_NO_MODEL -DSFEM_ENABLE_MODES' 'SFEM_NO_MODEL -DSFEM_ENABLE_BODY' \
-        'SFEM_ENABLE_EMBED -DSFEM_NO_EMBED' 'SFEM_ENABLE_LINK -DSFEM_NO_LINK' 'SFEM_ENABLE_BODY -DSFEM_NO_BODY' 'SFEM_ENABLE_DAMAGE -DSFEM_NO_BODY' \
+        'SFEM_ENABLE_EMBED -DSFEM_NO_EMBED' 'SFEM_ENABLE_LINK -DSFEM_NO_LINK' 'SFEM_ENABLE_BODY -DSFEM_NO_BODY' 'SFEM_ENABLE_DAMAGE -DSFEM_NO_BODY' 'SFEM_ENABLE_CONTACT -DSFEM_NO_BODY' \
         'SFEM_ENABLE_DAMAGE -DSFEM_NO_DAMAGE' 'SFEM_ENABLE_NEWTON -DSFEM_NO_NEWTON' 'SFEM_ENABLE_MESHER -DSFEM_NO_MESHER' \
         'SFEM_MINIMAL -DSFEM_ENABLE_MODES -DSFEM_NO_MODES' 'SFEM_ENABLE_MODEL -DSFEM_NO_MODEL' \
         'SFEM_STATIC -DSFEM_DEF='; do
