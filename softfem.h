@@ -29812,7 +29812,7 @@ static void sfemi_contact_place(const sfem_contact *c, const sfemi_touch *t, sfe
     sfemi_sub3(y0, row->local_place, y0);
     start = sfemi_dot3(row->local_normal, y0);
     if (start < 0) start = fmin(0.0, start + row->compliance * sfemi_dot3(n, row->force)); /* a spring may be pressed */
-    row->rigid = start < 0;
+    row->pushed = start < 0;
     row->least = start < 0 ? start + fmin(c->def.push_share * -start, c->def.push_speed * h) : 0;
 }
 
