@@ -20,7 +20,8 @@
  *
  * FUNCTIONS BY TASK, the first ones to look at; the comments at their declarations have the rest
  *
- *     load a mesh       sfem_mesh_read, _parse, _copy; sfem_mesh_block, _cylinder, _ball; sfem_mesh_check, _free
+ *     load a mesh       sfem_mesh_read, _read_sets, _parse, _copy; sfem_mesh_block, _cylinder, _ball; sfem_mesh_check
+ *                       sfem_mesh_orient, _weld, _free
  *     tets of a surface sfem_surface_read, sfem_mesh_from_surface; of a function sfem_mesh_from_sdf
  *     number, select    sfem_mesh_renumber, _components, _remove_unused; sfem_mesh_pick_ray, _locate
  *     make a model      sfem_default_material, sfem_default_model_def, sfem_model_create, _free; sfem_model_advice
@@ -29,10 +30,12 @@
  *     step              sfem_body_step, or _predict, _solve, _finish; sfem_body_prepare; sfem_body_is_asleep, _wake
  *     rest              sfem_body_solve_static
  *     push              sfem_body_set_gravity, _set_lasting_force, _add_lasting_force; _add_step_force, _add_impulse
- *     hold and grab     sfem_body_set_pins, _move_pin; sfem_body_grab_node, _grab_point, _move_handle, _release_handle
+ *     hold and grab     sfem_body_set_pins, _move_pin; sfem_mesh_near; sfem_body_grab_node, _grab_point, _grab_region
+ *                       sfem_body_move_handle, _release_handle
  *     look at           sfem_body_positions, _velocities, _displacement, _energy, _get_info, _reactions
  *                       sfem_body_handle_force; sfem_model_stress
  *     render            sfem_mesh_surface, sfem_body_to_floats, sfem_body_normals; sfem_surface_normals
+ *                       sfem_embed_create, sfem_embed_to_floats, sfem_embed_break
  *     cut and break     sfem_default_damage_def; sfem_body_cut, _break_edge, _heal; sfem_body_fracture, _breaks
  *                       sfem_body_pieces, _piece_of; surfaces: sfem_body_fragments, _fragment_positions
  *     save              sfem_body_state_size, _save_state, _load_state
@@ -90,9 +93,9 @@
  *                           nonlinear statics
  *            >>alpha        dissipation on demand: KR-alpha, CR, Gui-lambda, Chang
  *            >>pqr          the (p,q,r) family, central difference
- *            >>rotated         A^-1 in a body that rotates: frames, rigid projection
+ *            >>rotated      A^-1 in a body that rotates: frames, rigid projection
  *            >>resume       linear bodies whose step, pins or handles change
- *            >>safeguard        (p,q,r) for nonlinear laws: corrections, energy safeguard
+ *            >>safeguard    (p,q,r) for nonlinear laws: corrections, energy safeguard
  *            >>breaking     bodies that break: their energy budget and balance
  *            >>sleep        bodies at rest, whose steps cost nothing
  *            >>refactor     a factor of the present tangent, made in slices
@@ -134,7 +137,7 @@
  *     SFEM_NO_NEWTON     without the integrators that iterate by Newton, and statics of nonlinear laws: bodies step by
  *                        (p,q,r) and its kin, or if linear by Newmark. The energy safeguard keeps its iteration
  *     SFEM_NO_CONTACT    without contact with obstacles, >>api-contact
- *     SFEM_NO_BODY       without bodies that step by nodes, >>api-body, and these three
+ *     SFEM_NO_BODY       without bodies that step by nodes, >>api-body, fracture, Newton's iteration and contact
  *     SFEM_NO_MODEL      without matrices, solvers, materials and models, >>api-matrix, >>api-element, >>api-model, and
  *                        what is made of them: bodies and modes
  *     SFEM_MINIMAL       meshes without all of these, but for those that an SFEM_ENABLE_ switch names:
@@ -658,8 +661,7 @@ SFEM_DEF sfem_status sfem_mesh_parse_sets(const void *data, size_t bytes, const 
  * Polygons are cut into fans from their first vertex. Holes, doubled or flipped triangles and the like are left for
  * sfem_mesh_from_surface to repair. Fills x, nodes, tri, triangles.
  *   errors  as sfem_mesh_parse; SFEM_BAD_MESH: no faces
- *   cost    O(bytes), of STL O(bytes log bytes). Memory follows the data that is there, not the counts that it
- *   claims. */
+ *   cost    O(bytes), of STL O(bytes log bytes). Memory follows the data that is there, not the counts that it claims */
 SFEM_DEF sfem_status sfem_surface_parse(const void *data, size_t bytes, const sfem_allocator *allocator,
                                         sfem_surface *out, sfem_error *err);
 
@@ -1752,21 +1754,18 @@ SFEM_DEF void sfem_body_reactions(sfem_body *body, sfem_real *force /* [nodes][3
  *     t - x = C l + tau x',   C = eps/(E V^(1/3)), m/N,   tau = 2 sqrt(C m)
  * E Young's modulus (harmonic mean), V the volume, m the mass of the whole body: C is eps times the compliance of a
  * cube of that volume, whatever the mesh, the step and what else is held. It is critically damped with all of the
- * body's mass. Noise, jumps and contradictions of targets make forces that have a bound as steps shrink, and a target
- * that stands still never gives energy. Static solutions have tau = 0. A bar of 0.8 m, 32 kg and 1e5 Pa, its end held:
- *     eps                                        0      1e-4   1e-3   1e-2   0.1
- *     lag behind a hand at 0.5 m/s, mm           0      0.3    1      3.2    10
- *     1 mm of noise, kinetic energy, J, 1/60 s   0.40   0.38   0.34   0.25   0.10
- *                                      1/240 s   2.4    2.0    1.4    0.65   0.13
+ * body's mass: behind a target that moves at v it lags by tau v, 3 mm at 0.5 m/s for a bar of 0.8 m, 32 kg and 1e5 Pa.
+ * Forces from noise, jumps and contradictions of targets stay bounded as steps shrink. A target that stands still gives
+ * no energy, except with KR-alpha, Gui's and Chang's method on nonlinear bodies, which may gain some, as they may under
+ * constraints (tests/test_region.c). Static solutions have tau = 0.
  *   eps = 0: constraints, x = t to rounding at the end of each step, whatever force that takes; 1 mm of noise is
  * v = 1 mm/h. Handles that others already determine (five points of one tet) then carry no force.
- *   def.handle_max_force = F > 0: |l| <= F. A target out of reach is followed with F in its direction: the handle
- *   slips.
- * eps is then 1e-6 at least. A static solution needs what is held to balance the loads with such forces.
+ *   def.handle_max_force = F > 0: |l| <= F. A target out of reach is followed with F in its direction, and the
+ * handle slips. eps is then 1e-6 at least. A static solution needs what is held to balance the loads with such forces.
  *   weight  [count] shares that sum to 1, or NULL: equal. Nodes may stand in several regions
  *   cost    three solves when taken (in sfem_body_prepare), one sum over three columns in a solve
  *   errors  SFEM_FULL past max_handles or max_handle_nodes: pin the nodes instead; SFEM_BAD_ARGUMENT (all nodes pinned,
- *           in no tet, weights), SFEM_NOT_FINITE */
+ *           in no tet, weights; no such handle to move), SFEM_NOT_FINITE */
 SFEM_DEF sfem_status sfem_body_grab_node(sfem_body *body, sfem_int node, sfem_int *handle,
                                          sfem_error *err);
 SFEM_DEF sfem_status sfem_body_grab_point(sfem_body *body, sfem_int tet, const sfem_real bary[4],
@@ -2369,7 +2368,7 @@ SFEM_DEF void sfem_modal_momentum(const sfem_modal *modal, sfem_real linear[3],
  * weighted by C.
  *   weight  [count] shares of the nodes of a region, that sum to 1, or NULL: equal
  *   target  a position, m (of a region: the weighted mean of its nodes')
- *   errors  SFEM_BAD_ARGUMENT (node, weights), SFEM_FULL (max_handles, max_handle_nodes),
+ *   errors  SFEM_BAD_ARGUMENT (node, weights, no such handle to move), SFEM_FULL (max_handles, max_handle_nodes),
  *           SFEM_NOT_FINITE */
 SFEM_DEF sfem_status sfem_modal_grab_node(sfem_modal *modal, sfem_int node, sfem_int *handle,
                                           sfem_error *err);
@@ -2574,10 +2573,8 @@ SFEM_DEF sfem_receiver_info sfem_receiver_get_info(const sfem_receiver *receiver
  *
  * NORMALS are transformed, not made of the deformed triangles: n = sum_k w_k N_k n_0, unit length, in floats, N_k the
  * mean of cof F = det F F^-T over the tets of node k, by volume; w_k outside as if negative ones were 0. For affine
- * motions that is exact to rounding, and it is smooth where F jumps between tets. A bar bent by 137 degrees, twisted by
- * 172 and stretched unevenly, of 10 x 3 x 3 and 20 x 6 x 6 cells: mean errors of 0.5 to 0.9 and 0.1 to 0.2 degrees; of
- * the normals of the deformed triangles 1 to 6 and 0.4 to 2.7; of each tet's own F 1.8 to 6.6 and 0.9 to 3.5. Normals
- * of seams and sharp edges stay as they are given. */
+ * motions that is exact to rounding, and it is smooth where F jumps between tets, as normals of the deformed triangles
+ * are not. Normals of seams and sharp edges stay as they are given. */
 typedef struct sfem_embed sfem_embed;
 
 typedef struct sfem_embed_def {
@@ -2598,7 +2595,7 @@ SFEM_DEF sfem_embed_def sfem_default_embed_def(void);
  *           SFEM_BAD_MESH      a triangle that names a point that is not there; what sfem_mesh_check objects to
  *           SFEM_NOT_FINITE    a coordinate or a normal, err->node
  *           SFEM_TOO_LARGE, SFEM_OUT_OF_MEMORY
- *   cost    O(tets log tets), 1.3 us a point inside, 2 us outside: by trees of boxes, which graded meshes do not slow
+ *   cost    O(tets log tets), about 1 us a point inside, 2 us outside (`make bench-embed`): by trees of boxes
  *   memory  84 bytes a point, 112 with normals, and for these 56 a node and 104 a tet near the points; 16 a tet */
 SFEM_DEF sfem_status sfem_embed_create(const sfem_mesh *mesh, const sfem_embed_def *def, sfem_embed **out,
                                        sfem_error *err);
@@ -2662,7 +2659,7 @@ typedef struct sfem_embed_pieces {
 /* To be called again when sfem_body_fracture(body).pieces has changed.
  *   errors  SFEM_MISMATCH  the body has another mesh than the embedding
  *           SFEM_TOO_LARGE, SFEM_OUT_OF_MEMORY
- *   cost    2 us a triangle that comes out: 140 000 render triangles round 20 000 tets in 8 pieces take 0.4 s */
+ *   cost    O(tets + triangles that come out) */
 SFEM_DEF sfem_status sfem_embed_break(const sfem_embed *embed, const sfem_body *body, const sfem_allocator *allocator,
                                       sfem_embed_pieces *out, sfem_error *err);
 SFEM_DEF void sfem_embed_pieces_free(sfem_embed_pieces *pieces); /* NULL allowed */
@@ -2670,7 +2667,7 @@ SFEM_DEF void sfem_embed_pieces_free(sfem_embed_pieces *pieces); /* NULL allowed
 /* Where its vertices are now, and their normals, as sfem_embed_positions does it; those of inner faces are means of
  * their triangles. The embedding must have normals where n is not NULL. Between steps; one thread; allocates nothing. x
  * must not be NULL, n may.
- *   cost    0.09 us a vertex, and 3 ms for the rotations of a mesh of 20 000 tets */
+ *   cost    O(vertices + tets): the tets for the rotations */
 SFEM_DEF void sfem_embed_pieces_positions(sfem_embed *embed, const sfem_embed_pieces *pieces, sfem_body *body,
                                           sfem_real *x, sfem_real *n);
 SFEM_DEF void sfem_embed_pieces_to_floats(sfem_embed *embed, const sfem_embed_pieces *pieces, sfem_body *body, float *x,
@@ -11755,8 +11752,8 @@ static sfem_status sfemi_mesher_pass(const sfemi_solid *s, const sfem_mesher_def
     info->size = h;
     ++info->passes;
     l.def = def; /* it takes 3 to 5 lattices until the number of tets is right */
-    l.part[0] = def->size > 0 ? 0 : 1 - pow(0.6, info->passes - 1);
-    l.part[1] = def->size > 0 ? 0.95 : 1 - pow(0.6, info->passes);
+    l.part[0] = def->size > 0 ? 0 : 1 - pow(0.6, (sfem_real)(info->passes - 1));
+    l.part[1] = def->size > 0 ? 0.95 : 1 - pow(0.6, (sfem_real)info->passes);
     SFEMI_TRY(sfemi_lattice_lay(&l, h, phase));
     info->lattice = l.points;
     sfemi_lattice_run(&l, (l.points + SFEMI_LATTICE_TASK - 1) / SFEMI_LATTICE_TASK, sfemi_lattice_sign_task, 0, 0.4);
@@ -11837,6 +11834,7 @@ static sfem_status sfemi_mesher_search(const sfemi_solid *s, const sfem_mesher_d
         if (k + 1 >= PASSES) h = jump + 0.03 * (sfem_real)((k + 1 - PASSES) / 4) * ((k - PASSES) / 2 % 2 ? 1 : -1);
     }
     sfem_mesh_free(&mesh);
+    if (!out->tets) info->size = one.size; /* for the message */
     return out->tets && status == SFEM_TOO_LARGE ? SFEM_OK : status;
 }
 
@@ -17171,6 +17169,7 @@ static sfem_status sfemi_fem_check(const sfem_model_def *def, sfem_error *err)
     sfem_int i;
     if (!sfemi_made_by_default(def->cookie, SFEMI_COOKIE_MODEL, "sfem_default_model_def", err))
         return SFEM_BAD_ARGUMENT;
+    if (!def->mesh) return sfemi_fail(err, SFEM_BAD_ARGUMENT, "the model has no mesh: set mesh in its definition");
     status = sfem_mesh_check(def->mesh, NULL, err);
     if (status != SFEM_OK) return status;
     if (count < 1) return sfemi_fail(err, SFEM_BAD_ARGUMENT, "material_count is %d", (int)count);
@@ -17549,7 +17548,7 @@ SFEM_DEF sfem_status sfem_model_create(const sfem_model_def *def, sfem_model **o
     sfem_model *model = NULL;
     sfem_status status;
     sfem_int i;
-    SFEM_ASSERT(def && out && def->mesh);
+    SFEM_ASSERT(def && out);
     materials = def->materials ? def->materials : &def->material;
     SFEMI_TRY(sfemi_fem_check(def, err));
     SFEMI_NEW_OWNER(sfem_model, model, &def->allocator);
@@ -28666,7 +28665,7 @@ static sfem_status sfemi_body_grab(sfem_body *b, sfem_int count, const sfem_int 
                                    sfem_int *handle, sfem_error *err)
 {
     sfemi_handle *h = NULL;
-    sfem_int k, slot, taken = 0;
+    sfem_int k, slot = 0, taken = 0;
     sfem_status status;
     for (k = 0; k < count; ++k) taken += !weight || weight[k] != 0;
     status = sfemi_body_check_region(b, taken == 0 ? 1 : count, node, weight, &slot, err);
@@ -28739,7 +28738,9 @@ SFEM_DEF sfem_status sfem_body_grab_region(sfem_body *b, sfem_int count, const s
 SFEM_DEF sfem_status sfem_body_move_handle(sfem_body *b, sfem_int handle, const sfem_real target[3],
                                            sfem_error *err)
 {
-    SFEM_ASSERT(handle >= 0 && handle < b->def.max_handles && b->state.handle[handle].used);
+    SFEM_ASSERT(b && target);
+    if (handle < 0 || handle >= b->def.max_handles || !b->state.handle[handle].used)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "there is no handle %d", (int)handle);
     if (!sfemi_all_finite(target, 3))
         return sfemi_fail(err, SFEM_NOT_FINITE, "the target of handle %d is not finite", (int)handle);
     if (memcmp(b->state.handle[handle].path.target, target, 3 * sizeof *target) != 0) sfemi_sleep_wake_up(b);
@@ -36200,7 +36201,9 @@ SFEM_DEF sfem_status sfem_modal_grab_region(sfem_modal *b, sfem_int count, const
 SFEM_DEF sfem_status sfem_modal_move_handle(sfem_modal *b, sfem_int handle,
                                             const sfem_real target[3], sfem_error *err)
 {
-    SFEM_ASSERT(handle >= 0 && handle < b->def.max_handles && b->handle[handle].used);
+    SFEM_ASSERT(b && target);
+    if (handle < 0 || handle >= b->def.max_handles || !b->handle[handle].used)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "there is no handle %d", (int)handle);
     if (!sfemi_all_finite(target, 3))
         return sfemi_fail(err, SFEM_NOT_FINITE, "the target of handle %d is not finite",
                           (int)handle);
@@ -38086,7 +38089,7 @@ static sfem_int sfemi_boxes_split(sfemi_boxes *t, sfem_int first, sfem_int count
 {
     const sfem_int at = t->nodes++;
     sfemi_box *b = t->node + at;
-    sfem_real low[3], high[3];
+    sfem_real low[3] = {0, 0, 0}, high[3] = {0, 0, 0}; /* of the middles; set at i = 0 */
     sfem_int i, right;
     int c, axis = 0;
     for (i = 0; i < count; ++i) {

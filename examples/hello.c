@@ -12,7 +12,7 @@ int main(void) /* a rubber bar of half a metre, clamped at one end, swings for a
     model_def.mesh = &mesh, def.pins = pins, def.pin_count = 9, def.gravity[2] = -9.81;
     failed = sfem_mesh_block(cells, size, SFEM_CELL_5_TETS, NULL, &mesh, &err) ||
              sfem_model_create(&model_def, &model, &err) || sfem_body_create(model, &def, &body, &err);
-    for (i = 0; !failed && i < 60; ++i) failed = sfem_body_step(body, 1 / 60.0, &err);
+    for (i = 0; !failed && i < 60; ++i) failed = sfem_body_step(body, 1 / 60.0, &err) != SFEM_OK;
     if (failed) return printf("%s\n", err.text), 1;
     return printf("tip at %.4f m\n", sfem_body_displacement(body)[3 * mesh.nodes - 1]) < 0;
 }

@@ -71,7 +71,7 @@ static const ex_option table[] = {
      "repeatable"},
     {"--load", "WHERE:X,Y,Z", NULL, "newtons in all, shared evenly by those nodes, also 'set:NAME:X,Y,Z'; repeatable"},
     {"--grab", "X,Y,Z,RADIUS", NULL,
-     "a hand takes hold of the surface there (at the place at rest)"},
+     "a handle takes hold of the surface there (at the place at rest)"},
     {"--pull", "VX,VY,VZ", "0.2,0,0", "and moves, m/s"},
     {"--grip", "F", "0", "with this force at most, N; 0: without limit"},
     {"--floor", "AXIS=D", NULL, "an obstacle below, as 'z=0'; '-x=2': beyond x = 2; repeatable"},
@@ -264,6 +264,7 @@ static void read_mesh(run *r)
 __attribute__((noreturn)) static void refuse_name(const run *r, const char *option, const char *name, int sets)
 {
     sfem_int i;
+    fflush(stdout); /* which a pipe keeps longer */
     fprintf(stderr, "%s: there is no %s '%s' in this mesh. Regions:", option, sets ? "set" : "region", name);
     for (i = 0; i < r->sets.regions; ++i) fprintf(stderr, " '%s'", r->sets.region[i].name);
     if (!r->sets.regions) fprintf(stderr, " none");
@@ -707,7 +708,12 @@ static void take_hold(run *r)
         sfem_body_handle_position(r->body, r->hand, r->held);
     }
     for (k = 0; k < count; ++k) most = fmax(most, weight[k]);
-    printf("hand: %d nodes about %.3g %.3g %.3g m, each with at most %.2g of its force\n",
+    if (hypot(hypot(r->held[0] - where[0], r->held[1] - where[1]), r->held[2] - where[2]) > where[3]) {
+        fflush(stdout);
+        fprintf(stderr, "--grab: there is no surface within %g m of %g,%g,%g\n", where[3], where[0], where[1], where[2]);
+        exit(1);
+    }
+    printf("handle: %d nodes about %.3g %.3g %.3g m, each with at most %.2g of its force\n",
            (int)count, r->held[0], r->held[1], r->held[2], most);
     free(node);
     free(weight);

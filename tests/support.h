@@ -10,6 +10,7 @@
  *     hash_reals(x, n)                  equal bits, equal hash
  *     test_random, random_*             repeatable numbers
  *     exact_body_def()                  the default body with handles that do not yield
+ *     mesh_bandwidth(mesh)              largest difference of two node numbers in one tet
  *     thread_exec(n)                    an sfem_exec on n POSIX threads
  *     mesh_path(name), scratch_path(name)   a mesh from SFEM_MESHES, or NULL; a file to write
  *     run_all_tests(tests)              main's last line; SFEM_FILTER=PATTERN picks tests
@@ -57,6 +58,23 @@ TEST_STATIC sfem_body_def exact_body_def(void)
     return def;
 }
 #endif
+
+/* The largest difference of two node numbers in one tet. */
+TEST_STATIC sfem_int mesh_bandwidth(const sfem_mesh *mesh)
+{
+    sfem_int t, width = 0;
+    int i;
+    for (t = 0; t < mesh->tets; ++t) {
+        const sfem_int *v = mesh->tet + 4 * (size_t)t;
+        sfem_int low = v[0], high = v[0];
+        for (i = 1; i < 4; ++i) {
+            if (v[i] < low) low = v[i];
+            if (v[i] > high) high = v[i];
+        }
+        if (high - low > width) width = high - low;
+    }
+    return width;
+}
 
 /* --------------------------------------------------------------------------------------------
  * assertions

@@ -2,23 +2,6 @@
 #include "support.h"
 #include "linear.h"
 
-/* The largest difference of two node numbers in one tet. */
-static sfem_int mesh_bandwidth(const sfem_mesh *mesh)
-{
-    sfem_int t, width = 0;
-    int i;
-    for (t = 0; t < mesh->tets; ++t) {
-        const sfem_int *v = mesh->tet + 4 * (size_t)t;
-        sfem_int low = v[0], high = v[0];
-        for (i = 1; i < 4; ++i) {
-            if (v[i] < low) low = v[i];
-            if (v[i] > high) high = v[i];
-        }
-        if (high - low > width) width = high - low;
-    }
-    return width;
-}
-
 /* ---- what the tests share ---- */
 
 static const sfem_int cells435[3] = {4, 3, 5};

@@ -314,9 +314,51 @@ static void definitions_say_who_has_to_make_them(void **state)
     sfem_mesh_free(&mesh);
 }
 
+/* What is data gets a sentence, and changes nothing. */
+static void handles_and_meshes_that_are_not_there_are_named(void **state)
+{
+    static const sfem_int wrong[] = {-1, 1, 15, 16, 1000};
+    const sfem_real to[3] = {1, 2, 3};
+    sfem_mesh mesh = make_block(2, 1);
+    sfem_model_def model_def = sfem_default_model_def();
+    sfem_body_def def = sfem_default_body_def();
+    sfem_model *model;
+    sfem_body *body;
+    sfem_int handle;
+    sfem_error err;
+    size_t k, size;
+    char *before, *after;
+    (void)state;
+    assert_status(sfem_model_create(&model_def, &model, &err), SFEM_BAD_ARGUMENT);
+    assert_names(err, "set mesh");
+    model_def.mesh = &mesh;
+    assert_ok(sfem_model_create(&model_def, &model, &err), err);
+    assert_ok(sfem_body_create(model, &def, &body, &err), err);
+    assert_ok(sfem_body_grab_node(body, 0, &handle, &err), err);
+    assert_int_equal(handle, 0);
+    size = sfem_body_state_size(body);
+    before = (char *)malloc(size), after = (char *)malloc(size);
+    assert_true(before && after);
+    sfem_body_save_state(body, before);
+    for (k = 0; k < TEST_COUNT(wrong); ++k) {
+        char text[40];
+        assert_status(sfem_body_move_handle(body, wrong[k], to, &err), SFEM_BAD_ARGUMENT);
+        snprintf(text, sizeof text, "there is no handle %d", (int)wrong[k]);
+        assert_names(err, text);
+    }
+    sfem_body_save_state(body, after);
+    assert_memory_equal(before, after, size);
+    free(before);
+    free(after);
+    sfem_body_free(body);
+    sfem_model_free(model);
+    sfem_mesh_free(&mesh);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
+        cmocka_unit_test(handles_and_meshes_that_are_not_there_are_named),
         cmocka_unit_test(definitions_say_who_has_to_make_them),
         cmocka_unit_test(numbers_from_one_are_recognised),
         cmocka_unit_test(files_without_tets_say_what_they_have),
