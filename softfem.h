@@ -32,6 +32,8 @@
  *     push              sfem_body_set_gravity, _set_lasting_force, _add_lasting_force; _add_step_force, _add_impulse
  *     hold and grab     sfem_body_set_pins, _move_pin; sfem_mesh_near; sfem_body_grab_node, _grab_point, _grab_region
  *                       sfem_body_move_handle, _release_handle
+ *     touch obstacles   sfem_contact_create, _add_body, _add_obstacle, _move_obstacle, _step, _points, _free
+ *                       sfem_obstacle_plane; sfem_contact_obstacle_force
  *     look at           sfem_body_positions, _velocities, _displacement, _energy, _get_info, _reactions
  *                       sfem_body_handle_force; sfem_model_stress
  *     render            sfem_mesh_surface, sfem_body_to_floats, sfem_body_normals; sfem_surface_normals
@@ -142,12 +144,12 @@
  *                        what is made of them: bodies and modes
  *     SFEM_MINIMAL       meshes without all of these, but for those that an SFEM_ENABLE_ switch names:
  *     SFEM_ENABLE_MESHIO, SFEM_ENABLE_MESHER, SFEM_ENABLE_EMBED, SFEM_ENABLE_MODEL, SFEM_ENABLE_BODY (with models),
- *     SFEM_ENABLE_DAMAGE, SFEM_ENABLE_NEWTON and SFEM_ENABLE_CONTACT (with bodies), SFEM_ENABLE_MODES (with models), SFEM_ENABLE_REDUCED,
- *     SFEM_ENABLE_LINK (with reduced models). SFEM_ENABLE_REDUCED alone plays reduced models that were saved; with
- *     SFEM_ENABLE_MODES it makes them
+ *     SFEM_ENABLE_DAMAGE, SFEM_ENABLE_NEWTON and SFEM_ENABLE_CONTACT (with bodies), SFEM_ENABLE_MODES (with models),
+ *     SFEM_ENABLE_REDUCED, SFEM_ENABLE_LINK (with reduced models). SFEM_ENABLE_REDUCED alone plays reduced models that
+ *     were saved; with SFEM_ENABLE_MODES it makes them
  *
- * LIMITS. Linear (4-node) tetrahedra. Node and tet counts below 2^31. Bodies touch obstacles, not each
- * other. No remeshing.
+ * LIMITS. Linear (4-node) tetrahedra. Node and tet counts below 2^31. Bodies touch obstacles; they do not touch each
+ * other or themselves, and modal bodies touch nothing. No remeshing.
  */
 #ifndef SOFTFEM_H
 #define SOFTFEM_H
@@ -1883,6 +1885,7 @@ SFEM_DEF void sfem_body_fragment_positions(sfem_body *body, const sfem_fragments
 typedef struct sfem_contact sfem_contact;
 
 typedef struct sfem_contact_def {
+    uint32_t cookie; /* set by sfem_default_contact_def; a definition made otherwise is refused */
     sfem_int sweeps;           /* of Gauss-Seidel for a system of cones, at most, >= 1; 30 */
     sfem_real tolerance;       /* they end where impulses change by less than this part, >= 0; 1e-6 */
     sfem_real push_share;      /* of a penetration that is taken back in a step, 0 to 1; 0.2 */
@@ -1894,13 +1897,15 @@ typedef struct sfem_contact_def {
 } sfem_contact_def;
 SFEM_DEF sfem_contact_def sfem_default_contact_def(void);
 
-/* errors  SFEM_BAD_ARGUMENT, SFEM_OUT_OF_MEMORY. Free it before its bodies. */
+/* An object without bodies and obstacles. def NULL: the default. Free it before its bodies.
+ *   errors  SFEM_BAD_ARGUMENT, SFEM_OUT_OF_MEMORY */
 SFEM_DEF sfem_status sfem_contact_create(const sfem_contact_def *def, sfem_contact **out, sfem_error *err);
 SFEM_DEF void sfem_contact_free(sfem_contact *contact); /* NULL allowed */
 
 /* What a surface is like, and what it touches: a pair collides where the groups of each have a bit of the other's
  * `collides`. Friction of a pair is the root of the product, restitution the larger one, compliance the sum. */
 typedef struct sfem_contact_surface {
+    uint32_t cookie; /* set by sfem_default_contact_surface; a definition made otherwise is refused */
     sfem_real friction;    /* mu, >= 0; 0.5 */
     sfem_real restitution; /* 0 to 1; 0: what comes back is what the body itself stores. Newton's law for each node,
                             * where it arrives faster than gravity makes it within two steps */
@@ -1910,10 +1915,13 @@ typedef struct sfem_contact_surface {
 SFEM_DEF sfem_contact_surface sfem_default_contact_surface(void);
 
 /* Adds a body, which has to outlive its membership; *id is its number here. regions: tets of the regions whose bit is set
- * take part, those of numbers outside 0 to 31 as bit 0; ~0u: all. A mesh without regions has region 0.
- *   errors  SFEM_BAD_ARGUMENT (integrator, shared workspace, surface), SFEM_OUT_OF_MEMORY */
+ * take part, those of numbers outside 0 to 31 as bit 0; ~0u: all. A mesh without regions has region 0. surface and id may
+ * be NULL.
+ *   errors  SFEM_BAD_ARGUMENT (integrator, shared workspace, surface, a body that was added before), SFEM_OUT_OF_MEMORY
+ *   cost    O(tets), and memory for it */
 SFEM_DEF sfem_status sfem_contact_add_body(sfem_contact *contact, sfem_body *body, const sfem_contact_surface *surface,
                                            uint32_t regions, sfem_int *id, sfem_error *err);
+/* The body goes on without contact; its number may be given again. */
 SFEM_DEF void sfem_contact_remove_body(sfem_contact *contact, sfem_int id);
 
 /* OBSTACLES. In its own axes: */
@@ -1931,6 +1939,7 @@ typedef enum sfem_obstacle_kind {
 } sfem_obstacle_kind;
 
 typedef struct sfem_obstacle_def {
+    uint32_t cookie; /* set by sfem_default_obstacle_def and sfem_obstacle_plane; a definition made otherwise is refused */
     sfem_obstacle_kind kind;
     sfem_real size[3];
     /* A distance that changes by no more than 1 for 1, negative inside; gradient [3], of length 1, points outwards. It is
@@ -1944,12 +1953,14 @@ typedef struct sfem_obstacle_def {
     sfem_contact_surface contact;
 } sfem_obstacle_def;
 SFEM_DEF sfem_obstacle_def sfem_default_obstacle_def(void); /* a plane at z = 0 */
+/* The half space below a plane through `point`, m, with a normal of any length. */
 SFEM_DEF sfem_obstacle_def sfem_obstacle_plane(const sfem_real normal[3], const sfem_real point[3]);
 
-/* Adds one; numbers of removed ones are given again. Bodies that overlap it are pushed out at push_speed.
+/* Adds one; id may be NULL. Numbers of removed ones are given again. Bodies that overlap it are pushed out at push_speed.
  *   errors  SFEM_BAD_ARGUMENT (size, friction, rotation, ..), SFEM_NOT_FINITE, SFEM_BAD_MESH, SFEM_OUT_OF_MEMORY */
 SFEM_DEF sfem_status sfem_contact_add_obstacle(sfem_contact *contact, const sfem_obstacle_def *def, sfem_int *id,
                                                sfem_error *err);
+/* What lay on it wakes. */
 SFEM_DEF void sfem_contact_remove_obstacle(sfem_contact *contact, sfem_int id);
 
 /* Where it is at the start of the next step (rotation NULL: as it is), and how it moves in that and all further ones, by
@@ -1959,6 +1970,7 @@ SFEM_DEF void sfem_contact_remove_obstacle(sfem_contact *contact, sfem_int id);
 SFEM_DEF sfem_status sfem_contact_move_obstacle(sfem_contact *contact, sfem_int id, const sfem_real position[3],
                                                 const sfem_real *rotation, const sfem_real *velocity,
                                                 const sfem_real *angular, sfem_error *err);
+/* Where it is now: m, and its axes row by row. */
 SFEM_DEF void sfem_contact_obstacle_pose(const sfem_contact *contact, sfem_int id, sfem_real position[3],
                                          sfem_real rotation[9]);
 
@@ -1990,7 +2002,7 @@ typedef struct sfem_contact_info {
     sfem_int contacts;       /* with an impulse, in the last step, as all of these: */
     sfem_int sweeps;         /* of Gauss-Seidel, all systems and bodies together */
     sfem_int systems;        /* of cones that were solved */
-    sfem_int pushed;        /* contacts that were pushed out of a penetration */
+    sfem_int pushed;         /* contacts that were pushed out of a penetration */
     sfem_int rejected;       /* steps of bodies */
     sfem_real penetration;   /* m, the deepest at the end of the step */
     sfem_real work;          /* J, of the contacts on the bodies since the object was made: what friction and impact take,
@@ -2777,7 +2789,8 @@ static sfem_status sfemi_fail_at(sfem_error *err, sfem_status status, sfem_int n
  * set, is told apart from one with odd values. */
 enum {
     SFEMI_COOKIE_MESHER = 0x5fe30, SFEMI_COOKIE_LDL, SFEMI_COOKIE_CG, SFEMI_COOKIE_MODEL, SFEMI_COOKIE_DAMAGE,
-    SFEMI_COOKIE_BODY, SFEMI_COOKIE_MODES, SFEMI_COOKIE_REDUCED, SFEMI_COOKIE_MODAL, SFEMI_COOKIE_LINK, SFEMI_COOKIE_EMBED
+    SFEMI_COOKIE_BODY, SFEMI_COOKIE_MODES, SFEMI_COOKIE_REDUCED, SFEMI_COOKIE_MODAL, SFEMI_COOKIE_LINK, SFEMI_COOKIE_EMBED,
+    SFEMI_COOKIE_CONTACT, SFEMI_COOKIE_SURFACE, SFEMI_COOKIE_OBSTACLE
 };
 
 static SFEMI_UNUSED int sfemi_made_by_default(uint32_t cookie, uint32_t kind, const char *function, sfem_error *err)
@@ -31556,6 +31569,7 @@ SFEM_DEF sfem_contact_def sfem_default_contact_def(void)
 {
     sfem_contact_def d;
     memset(&d, 0, sizeof d);
+    d.cookie = SFEMI_COOKIE_CONTACT;
     d.sweeps = 30;
     d.tolerance = 1e-6;
     d.push_share = 0.2;
@@ -31569,6 +31583,7 @@ SFEM_DEF sfem_contact_surface sfem_default_contact_surface(void)
 {
     sfem_contact_surface s;
     memset(&s, 0, sizeof s);
+    s.cookie = SFEMI_COOKIE_SURFACE;
     s.friction = 0.5;
     s.groups = 1;
     s.collides = ~(uint32_t)0;
@@ -31579,6 +31594,7 @@ SFEM_DEF sfem_obstacle_def sfem_default_obstacle_def(void)
 {
     sfem_obstacle_def d;
     memset(&d, 0, sizeof d);
+    d.cookie = SFEMI_COOKIE_OBSTACLE;
     d.rotation[0] = d.rotation[4] = d.rotation[8] = 1;
     d.contact = sfem_default_contact_surface();
     return d;
@@ -31587,9 +31603,10 @@ SFEM_DEF sfem_obstacle_def sfem_default_obstacle_def(void)
 SFEM_DEF sfem_obstacle_def sfem_obstacle_plane(const sfem_real normal[3], const sfem_real point[3])
 {
     sfem_obstacle_def d = sfem_default_obstacle_def();
-    const sfem_real length = sqrt(sfemi_dot3(normal, normal));
-    sfem_real n[3], a[3], b[3];
+    sfem_real n[3], a[3], b[3], length;
     int k, small = 0;
+    SFEM_ASSERT(normal && point);
+    length = sqrt(sfemi_dot3(normal, normal));
     for (k = 0; k < 3; ++k) n[k] = normal[k] / length; /* not finite: add_obstacle says so */
     for (k = 1; k < 3; ++k)
         if (fabs(n[k]) < fabs(n[small])) small = k;
@@ -31610,6 +31627,7 @@ SFEM_DEF sfem_status sfem_contact_create(const sfem_contact_def *def, sfem_conta
     sfem_contact *c = NULL;
     sfem_status status = SFEM_OK;
     SFEM_ASSERT(out);
+    if (!sfemi_made_by_default(d->cookie, SFEMI_COOKIE_CONTACT, "sfem_default_contact_def", err)) return SFEM_BAD_ARGUMENT;
     if (d->sweeps < 1 || d->max_contacts < 1)
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "%d sweeps and %d contacts at most: both must be >= 1", (int)d->sweeps,
                           (int)d->max_contacts);
@@ -31689,6 +31707,8 @@ SFEM_DEF void sfem_contact_free(sfem_contact *c)
 
 static sfem_status sfemi_contact_check_surface(const sfem_contact_surface *s, const char *whose, sfem_error *err)
 {
+    if (!sfemi_made_by_default(s->cookie, SFEMI_COOKIE_SURFACE, "sfem_default_contact_surface", err))
+        return SFEM_BAD_ARGUMENT;
     if (!(sfemi_finite(s->friction) && s->friction >= 0))
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "the friction of the %s is %g, must be >= 0", whose, s->friction);
     if (!(s->restitution >= 0 && s->restitution <= 1))
@@ -31748,11 +31768,12 @@ SFEM_DEF sfem_status sfem_contact_add_body(sfem_contact *c, sfem_body *body, con
                                            uint32_t regions, sfem_int *id, sfem_error *err)
 {
     const sfem_contact_surface standard = sfem_default_contact_surface(), *s = surface ? surface : &standard;
-    const size_t n = 3 * (size_t)body->model->mesh.nodes;
     sfemi_touch *t = NULL;
     sfem_status status = SFEM_OK;
     sfem_int i, at;
+    size_t n;
     SFEM_ASSERT(c && body);
+    n = 3 * (size_t)body->model->mesh.nodes;
     SFEMI_TRY(sfemi_contact_check_surface(s, "body", err));
     if (!body->scheme.mean || body->scheme.lagging)
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "a body with contact steps by SFEM_PQR, SFEM_CENTRAL, SFEM_GUI or SFEM_CHANG");
@@ -31810,8 +31831,10 @@ static sfem_status sfemi_obstacle_check_pose(const sfem_real *position, const sf
 static sfem_status sfemi_obstacle_check(const sfem_obstacle_def *d, sfem_error *err)
 {
     static const int sizes[] = {0, 1, 2, 3, 2, 0, 2, 0};
-    sfem_status status = sfemi_obstacle_check_pose(d->position, d->rotation, err);
+    sfem_status status;
     int k;
+    if (!sfemi_made_by_default(d->cookie, SFEMI_COOKIE_OBSTACLE, "sfem_default_obstacle_def", err)) return SFEM_BAD_ARGUMENT;
+    status = sfemi_obstacle_check_pose(d->position, d->rotation, err);
     if (status == SFEM_OK) status = sfemi_contact_check_surface(&d->contact, "obstacle", err);
     if (status != SFEM_OK) return status;
     if ((unsigned)d->kind > SFEM_OBSTACLE_SURFACE)
@@ -31931,7 +31954,7 @@ SFEM_DEF sfem_status sfem_contact_move_obstacle(sfem_contact *c, sfem_int id, co
 
 SFEM_DEF void sfem_contact_obstacle_pose(const sfem_contact *c, sfem_int id, sfem_real position[3], sfem_real rotation[9])
 {
-    SFEM_ASSERT(c && id >= 0 && id < c->obstacles && c->obstacle[id].used);
+    SFEM_ASSERT(c && position && rotation && id >= 0 && id < c->obstacles && c->obstacle[id].used);
     memcpy(position, c->obstacle[id].def.position, 3 * sizeof *position);
     memcpy(rotation, c->obstacle[id].def.rotation, 9 * sizeof *rotation);
 }
@@ -31947,15 +31970,17 @@ SFEM_DEF const sfem_contact_point *sfem_contact_points(const sfem_contact *c, sf
 
 SFEM_DEF void sfem_contact_obstacle_force(const sfem_contact *c, sfem_int id, sfem_real force[3], sfem_real torque[3])
 {
-    SFEM_ASSERT(c && id >= 0 && id < c->obstacles && c->obstacle[id].used);
+    SFEM_ASSERT(c && force && torque && id >= 0 && id < c->obstacles && c->obstacle[id].used);
     memcpy(force, c->obstacle[id].force, 3 * sizeof *force);
     memcpy(torque, c->obstacle[id].torque, 3 * sizeof *torque);
 }
 
 SFEM_DEF sfem_contact_info sfem_contact_get_info(const sfem_contact *c)
 {
-    sfem_contact_info info = c->info;
+    sfem_contact_info info;
     sfem_int i;
+    SFEM_ASSERT(c);
+    info = c->info;
     info.bytes = sizeof *c + c->column_bytes + (c->vector_room + c->x_room + c->y_room + c->v0_room + c->rhs_room + c->work_room + c->v_room +
                  c->lambda_room) * sizeof(sfem_real) + c->g_room * sizeof(float) +
                  (size_t)c->obstacle_room * sizeof *c->obstacle + (size_t)c->touch_room * sizeof *c->touch +
