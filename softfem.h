@@ -29374,8 +29374,8 @@ static sfem_real sfemi_shell_box_distance2(const sfemi_shell_box *box, const sfe
     sfem_real sum = 0;
     int c;
     for (c = 0; c < 3; ++c) {
-        const sfem_real over = fmax(box->low[c] - p[c], p[c] - box->high[c]);
-        if (over > 0) sum += over * over;
+        const sfem_real over = p[c] < box->low[c] ? box->low[c] - p[c] : p[c] > box->high[c] ? p[c] - box->high[c] : 0;
+        sum += over * over;
     }
     return sum;
 }
@@ -29670,6 +29670,14 @@ static sfem_real sfemi_obstacle_distance(const sfemi_obstacle *o, const sfem_rea
     }
 }
 
+/* Is the point, in the obstacle's axes, surely farther than `far` from it? What costs little to ask before a distance. */
+static int sfemi_obstacle_is_beyond(const sfemi_obstacle *o, const sfem_real y[3], sfem_real far)
+{
+    if (!o->shell) return 0;
+    if (!o->shell->closed) far += o->def.size[0]; /* its back */
+    return sfemi_shell_box_distance2(o->shell->box, y) > far * far;
+}
+
 static void sfemi_obstacle_to_local(const sfem_real p[3], const sfem_real axes[9], const sfem_real x[3], sfem_real y[3])
 {
     const sfem_real d[3] = {x[0] - p[0], x[1] - p[1], x[2] - p[2]};
@@ -29767,11 +29775,12 @@ static int sfemi_contact_meets(const sfemi_obstacle *o, const sfem_real y0[3], c
 {
     const sfem_real alike = 0.3; /* cosine: of sides that are one to a point */
     sfem_real way[3], n0[3], n1[3], touch[3], n[3];
-    const sfem_real s1 = sfemi_obstacle_distance(o, y1, n1);
-    sfem_real length, s0;
+    sfem_real length, s0, s1;
     int c;
     sfemi_sub3(y1, y0, way);
     length = sqrt(sfemi_dot3(way, way));
+    if (sfemi_obstacle_is_beyond(o, y1, margin + length)) return 0;
+    s1 = sfemi_obstacle_distance(o, y1, n1);
     if (o->safe * s1 > margin + length) return 0;
     s0 = sfemi_obstacle_distance(o, y0, n0);
     if (s1 >= margin && (s0 <= 0 || o->safe * (s0 + s1) > length)) return 0;
@@ -29971,6 +29980,7 @@ static int sfemi_contact_face_meets(const sfemi_touch *t, const sfemi_obstacle *
         size = fmax(size, sqrt(sfemi_dot3(d, d)));
         way = fmax(way, sqrt(sfemi_dot3(e, e)));
     }
+    if (sfemi_obstacle_is_beyond(o, middle, size + way)) return 0;
     s = sfemi_obstacle_distance(o, middle, n);
     if (o->safe * s > size + way) return 0;
     times = way > size ? 1 + (int)fmin(way / size, (sfem_real)MOST - 1) : 1;
@@ -30027,6 +30037,17 @@ static int sfemi_contact_face_plane(const sfemi_obstacle *o, const sfem_real fir
     return 1;
 }
 
+/* Has a row's point, y at the end of the step, slid off the side of the obstacle that its plane is of? Else the plane would
+ * go on beyond the obstacle's edge. One that is inside, or passes through in the step, has not. */
+static int sfemi_contact_has_left(const sfemi_touch *t, const sfemi_obstacle *o, const sfemi_row *row, sfem_real h,
+                                  const sfem_real y[3])
+{
+    sfem_real x0[3], y0[3], touch[3], n[3];
+    sfemi_contact_point_of(t, row, NULL, h, x0);
+    sfemi_obstacle_to_local(o->from, o->from_axes, x0, y0);
+    return sfemi_obstacle_distance(o, y0, n) > 0 && sfemi_obstacle_trace(o, y0, y, touch, n) > 1;
+}
+
 /* Rows that were there: their planes at where they are now. */
 static void sfemi_contact_follow(const sfem_contact *c, sfemi_touch *t, const sfem_real *w, sfem_real h)
 {
@@ -30047,7 +30068,7 @@ static void sfemi_contact_follow(const sfem_contact *c, sfemi_touch *t, const sf
         sfemi_contact_point_of(t, row, w, h, x);
         sfemi_obstacle_to_local(o->to, o->to_axes, x, y);
         s = sfemi_obstacle_distance(o, y, n);
-        if (sfemi_dot3(n, row->local_normal) > 0.3 && s < 1e299) {
+        if (s < 1e299 && (sfemi_dot3(n, row->local_normal) > 0.3 || (s > 0 && sfemi_contact_has_left(t, o, row, h, y)))) {
             memcpy(row->local_normal, n, sizeof n);
             for (k = 0; k < 3; ++k) row->local_place[k] = y[k] - s * n[k];
         }

@@ -979,6 +979,40 @@ static void small_obstacles_do_not_slip_between_nodes(void **unused)
         }
 }
 
+/* A tool that presses into the side of a block and slides up past its edge lets go: the plane of its side does not go on
+ * below it. */
+static void a_tool_that_slides_off_lets_go(void **unused)
+{
+    const sfem_real up[3] = {0, 0, 0.5};
+    sfem_body_def def = falling();
+    sfem_obstacle_def tool = sfem_default_obstacle_def();
+    sfem_real force[3], torque[3], pressed = 0;
+    sfem_error err;
+    sfem_int id;
+    scene s;
+    int k;
+    (void)unused;
+    def.stiffness_damping = 0.01;
+    s = on_floor(block(4, 0.2), 1e5, &def);
+    tool.kind = SFEM_OBSTACLE_BOX;
+    tool.size[0] = 0.02;
+    tool.size[1] = tool.size[2] = 0.05;
+    tool.position[0] = 0.21; /* 1 cm deep: pushed out, then held there by the friction of the floor */
+    tool.position[1] = 0.1;
+    tool.position[2] = 0.11;
+    tool.contact.friction = 0.2;
+    assert_ok(sfem_contact_add_obstacle(s.contact, &tool, &id, &err), err);
+    for (k = 0; k < 60; ++k) {
+        if (k == 15) assert_ok(sfem_contact_move_obstacle(s.contact, id, tool.position, NULL, up, NULL, &err), err);
+        step(&s, 1.0 / 60);
+        sfem_contact_obstacle_force(s.contact, id, force, torque);
+        if (k == 15) pressed = force[0];
+    }
+    assert_true(pressed > 1); /* its lower end has risen from 0.06 to 0.435 m */
+    assert_true(force[0] == 0 && force[1] == 0 && force[2] == 0);
+    drop(&s);
+}
+
 /* Against the surface of a ball of many triangles, and of an open one, distances and normals are those of the sphere. */
 static void surfaces_are_as_far_as_spheres(void **unused)
 {
@@ -1513,6 +1547,7 @@ int main(void)
         cmocka_unit_test(a_ball_on_a_plane_bears_the_force_of_hertz),
         cmocka_unit_test(a_slab_rests_on_obstacles_of_every_kind),
         cmocka_unit_test(small_obstacles_do_not_slip_between_nodes),
+        cmocka_unit_test(a_tool_that_slides_off_lets_go),
         cmocka_unit_test(surfaces_are_as_far_as_spheres),
         cmocka_unit_test(moving_plates_carry_a_ball_and_their_work_is_counted),
         cmocka_unit_test(filters_say_who_touches_whom),
