@@ -442,7 +442,7 @@ static void fast_balls_do_not_pass_thin_plates(void **unused)
     for (i = 0; i < TEST_COUNT(speeds); ++i) {
         sfem_body_def def = sfem_default_body_def();
         sfem_obstacle_def plate = sfem_default_obstacle_def();
-        sfem_mesh mesh = ball(0.1, 3);
+        sfem_mesh mesh = ball(0.1, speeds[i] > 30 ? 2 : 3);
         sfem_error err;
         double x[3];
         scene s;
@@ -472,7 +472,7 @@ static void flattened_balls_make_no_energy(void **unused)
     test_random random = {11};
     int k, i;
     (void)unused;
-    for (k = 0; k < 60; ++k) {
+    for (k = 0; k < (TEST_SANITIZED ? 12 : 40); ++k) {
         const double angle = random_uniform(&random, 0, 2 * TEST_PI), z = random_uniform(&random, -1, 1);
         const double d[3] = {sqrt(1 - z * z) * cos(angle), sqrt(1 - z * z) * sin(angle), z};
         sfem_body_def def = sfem_default_body_def();
@@ -807,7 +807,7 @@ static void a_ball_on_a_plane_bears_the_force_of_hertz(void **unused)
         sfem_real force[3], torque[3];
         const double hertz = 4.0 / 3 * young / (1 - poisson * poisson) * pow(depth[k], 1.5);
         assert_ok(sfem_contact_move_obstacle(s.contact, s.floor, up, NULL, NULL, NULL, &err), err);
-        settle(&s, 0.05, 120);
+        settle(&s, 0.05, 50); /* 100 more change it by 1e-6 */
         sfem_contact_obstacle_force(s.contact, s.floor, force, torque);
         found[k] = -force[2] / hertz;
     }
@@ -908,7 +908,7 @@ static void a_slab_rests_on_obstacles_of_every_kind(void **unused)
         s = on_floor(mesh, 2e5, &def);
         if (kinds[i] == SFEM_OBSTACLE_DISTANCE || kinds[i] == SFEM_OBSTACLE_HEIGHTS) shape.position[2] = 0.1;
         assert_ok(sfem_contact_add_obstacle(s.contact, &shape, &id, &err), err);
-        for (k = 0; k < 180; ++k) {
+        for (k = 0; k < 120; ++k) {
             step(&s, 1.0 / 60);
             deepest = fmax(deepest, sfem_contact_get_info(s.contact).penetration);
         }
@@ -1021,6 +1021,7 @@ static void surfaces_are_as_far_as_spheres(void **unused)
     sfem_obstacle_def o = sfem_default_obstacle_def();
     test_random random = {5};
     sfem_error err;
+    const int directions = TEST_SANITIZED ? 4 : 9;
     int open, k, at_it = 0;
     (void)unused;
     o.kind = SFEM_OBSTACLE_SURFACE;
@@ -1029,7 +1030,7 @@ static void surfaces_are_as_far_as_spheres(void **unused)
         if (open) surface.triangles -= surface.triangles / 4;
         o.surface = &surface;
         o.size[0] = open ? 0.05 : 0;
-        for (k = 0; k < 12; ++k) { /* a ball that comes from any side stops at its face */
+        for (k = 0; k < directions; ++k) { /* a ball that comes from any side stops at its face */
             const double angle = random_uniform(&random, 0, 2 * TEST_PI), z = random_uniform(&random, -1, 1);
             const double d[3] = {sqrt(1 - z * z) * cos(angle), sqrt(1 - z * z) * sin(angle), z};
             sfem_contact_point point;
@@ -1071,7 +1072,7 @@ static void surfaces_are_as_far_as_spheres(void **unused)
             drop(&s);
         }
         surface.triangles = all;
-        if (!open) assert_true(at_it > 9);
+        if (!open) assert_true(at_it > directions * 3 / 4);
     }
     o.size[0] = 0; /* open, and no thickness */
     surface.triangles -= 3;
