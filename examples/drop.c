@@ -218,7 +218,8 @@ static void play(run *r)
 static void draw(const run *r)
 {
     const double direction[3] = {0.25, -1, 0.35};
-    ex_picture *p = ex_picture_new(1500, 860);
+    const int quick = ex_given(&r->o, "--quick");
+    ex_picture *p = ex_picture_new(quick ? 1050 : 1500, quick ? 600 : 860);
     ex_style style = ex_default_style(), grey = ex_default_style();
     double lower[3], upper[3];
     int k;

@@ -210,7 +210,8 @@ static void draw(const run *r)
 {
     static const char *const what[FRAMES] = {"squeezed", "lifted", "held"};
     const double direction[3] = {0.4, -1, 0.25};
-    ex_picture *p = ex_picture_new(1500, 860);
+    const int quick = ex_given(&r->o, "--quick");
+    ex_picture *p = ex_picture_new(quick ? 1050 : 1500, quick ? 600 : 860);
     ex_style style = ex_default_style();
     double lower[3], upper[3], low, high;
     int j, k;
