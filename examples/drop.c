@@ -54,10 +54,10 @@ static void must(sfem_status status, const sfem_error *err)
 static double creature(const double x[3], void *user)
 {
     static const double rod[7][7] = {{-0.35, 0, 0, 0.25, 0, 0.02, 0.2},      {0.25, 0, 0.02, 0.52, 0, 0.14, 0.14},
-                                     {0.2, 0.14, -0.05, 0.3, 0.3, -0.38, 0.075}, {0.2, -0.14, -0.05, 0.3, -0.3, -0.38, 0.075},
-                                     {-0.35, 0.13, -0.05, -0.45, 0.28, -0.38, 0.08},
-                                     {-0.35, -0.13, -0.05, -0.45, -0.28, -0.38, 0.08},
-                                     {-0.45, 0, 0.06, -0.85, 0, 0.3, 0.08}};
+                                     {0.2, 0.14, -0.05, 0.3, 0.3, -0.38, 0.1}, {0.2, -0.14, -0.05, 0.3, -0.3, -0.38, 0.1},
+                                     {-0.35, 0.13, -0.05, -0.45, 0.28, -0.38, 0.1},
+                                     {-0.35, -0.13, -0.05, -0.45, -0.28, -0.38, 0.1},
+                                     {-0.45, 0, 0.06, -0.85, 0, 0.3, 0.09}};
     double sum = 0;
     int i, c;
     (void)user;
@@ -90,7 +90,7 @@ static void make_mesh(run *r)
         must(sfem_mesh_read(path, NULL, &r->mesh, &err), &err);
     } else {
         sfem_mesher_def def = sfem_default_mesher_def();
-        def.tets = ex_given(&r->o, "--quick") ? 800 : (sfem_int)ex_integer(&r->o, "--tets");
+        def.tets = ex_given(&r->o, "--quick") ? 1600 : (sfem_int)ex_integer(&r->o, "--tets");
         must(sfem_mesh_from_sdf(&def, creature, NULL, box, &r->mesh, NULL, &err), &err);
     }
     ex_bounds(r->mesh.x, r->mesh.nodes, 1, lower, upper);
