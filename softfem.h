@@ -29071,6 +29071,8 @@ SFEM_DEF void sfem_body_heal(sfem_body *b)
     b->phase = SFEMI_IDLE;
 }
 
+#endif /* SFEM_NO_DAMAGE */
+
 #ifndef SFEM_NO_CONTACT
 /* ============================================================================================
  * >>contact   bodies against obstacles: rows, compliance, cones, the step of all bodies
@@ -30712,17 +30714,19 @@ static sfem_status sfemi_contact_begin(sfem_contact *c, sfemi_touch *t, sfem_rea
     sfem_int i;
     int k;
     size_t at;
-    b->rotated.by_hand = t->rows > 0;
+    b->rotated.by_hand = t->rows > 0 || b->state.head->step_forces;
     b->kicked = 0;
     t->fallback = t->lost = 0;
     status = sfemi_body_predict(b, h, err);
+    if (status == SFEM_OK) sfemi_step_force_apply(b);
     if (status != SFEM_OK || !t->rows) return status;
     for (i = 0; i < t->rows; ++i)
         for (k = 0; k < 3; ++k) t->row[i].impulse[k] = sfemi_contact_span(t) * t->row[i].force[k];
     sfemi_contact_transpose(t, 0, c->x);
     for (at = 0; at < 3 * (size_t)b->model->mesh.nodes; ++at) b->rhs[at] += c->x[at] / sfemi_contact_span(t);
     if (!b->scheme.rotates) return status; /* else `added` finds it in the right side */
-    memcpy(b->kick, c->x, 3 * (size_t)b->model->mesh.nodes * sizeof *b->kick);
+    if (!b->kicked) memset(b->kick, 0, 3 * (size_t)b->model->mesh.nodes * sizeof *b->kick);
+    for (at = 0; at < 3 * (size_t)b->model->mesh.nodes; ++at) b->kick[at] += c->x[at]; /* step forces are there already */
     b->kicked = 1;
     return status;
 }
@@ -31188,11 +31192,13 @@ static sfem_real sfemi_contact_surplus(const sfem_contact *c, const sfemi_touch 
 static void sfemi_contact_start_fallback(sfemi_touch *t)
 {
     sfem_body *b = t->body;
-    const size_t bytes = 3 * (size_t)b->model->mesh.nodes * sizeof(sfem_real);
+    const sfem_real *force = b->state.head->step_forces ? b->state.step_force : NULL;
     sfem_int i;
     for (i = 0; i < t->rows; ++i) memset(t->row[i].impulse, 0, sizeof t->row[i].impulse);
-    memset(b->kick, 0, bytes);
-    memset(b->safeguard.added, 0, bytes); /* nobody else adds to the steps of a sfem_contact */
+    for (i = 0; i < 3 * b->model->mesh.nodes; ++i) { /* step forces are all that a caller adds to steps of a sfem_contact */
+        b->kick[i] = force ? b->step.h * force[i] : 0;
+        b->safeguard.added[i] = b->kick[i] / sfemi_body_span(b);
+    }
     b->kicked = 1;
     t->fallback = b->safeguard.rejected = 1;
     b->state.head->scale = fmax(b->before.scale, t->arriving);
@@ -32018,6 +32024,7 @@ SFEM_DEF sfem_contact_info sfem_contact_get_info(const sfem_contact *c)
 }
 #endif /* SFEM_NO_CONTACT */
 
+#ifndef SFEM_NO_DAMAGE
 /* ============================================================================================
  * >>fragments   the surface of a broken body: its pieces and cracks
  *
