@@ -3,7 +3,7 @@
  *        fixed                                         simulate                      a clamped bar swings
  *     //|=======================  <- load              simulate body.msh --fix 'x<0.01' --static
  *     //|=======================                       simulate --help
- *          | gravity
+ *          | gravity                                     simulate --fix none --floor 'z=-0.5'
  *
  * Reads or makes a mesh, fixes and loads nodes, solves for rest or steps through time, and leaves
  * pictures, a plot and tables in the --out directory. The last lines on stdout are `key value`.
@@ -12,7 +12,7 @@
 #include "softfem.h"
 #include "elastic.h"
 
-enum { FRAMES = 6, MAX_LOADS = 16 };
+enum { FRAMES = 6, MAX_LOADS = 16, MAX_OBSTACLES = 32 };
 
 static const ex_option table[] = {
     {"MESH", "FILE", NULL,
@@ -76,6 +76,11 @@ static const ex_option table[] = {
      "a handle takes hold of the surface there (at the place at rest)"},
     {"--pull", "VX,VY,VZ", "0.2,0,0", "and moves, m/s"},
     {"--grip", "F", "0", "with this force at most, N; 0: without limit"},
+    {"--floor", "AXIS=D", NULL, "an obstacle below, as 'z=0'; '-x=2': beyond x = 2; repeatable"},
+    {"--obstacle", "KIND:X,Y,Z,R,VX,VY,VZ", NULL,
+     "'sphere:...', of radius R, that moves at this velocity; repeatable"},
+    {"--friction", "MU", "0.5", "of the body and of obstacles"},
+    {"--restitution", "E", "0", "of the same, for each node"},
     {"--probe", "NODE", "-1", "print this node's displacement; the plot follows it"},
     {"--threads", "N", "1", "threads"},
     {"--out", "DIR", "build/simulate", "where files go"},
@@ -90,6 +95,12 @@ typedef struct look { /* the --surface in a frame: outer triangles, then inner o
     sfem_int nodes, outer, inner;
 } look;
 
+typedef struct obstacle { /* what is needed to see how deep a node is in it */
+    sfem_int id;
+    int sphere;
+    double normal[3], point[3], radius;
+} obstacle;
+
 typedef struct run {
     ex_options o;
     sfem_mesh mesh;
@@ -99,6 +110,10 @@ typedef struct run {
     sfem_surface surface;
     sfem_model *model;
     sfem_body *body;
+    sfem_contact *contact; /* NULL: nothing to touch */
+    obstacle obstacle[MAX_OBSTACLES];
+    int obstacles;
+    double penetration;
     sfem_modes
         modes; /* --integrator modal: these step instead of the body, which keeps pins and loads */
     sfem_reduced *reduced;
@@ -511,6 +526,90 @@ static void add_loads(run *r)
     free(nodes);
 }
 
+/* '-x=2': the half space beyond it, and the normal towards the body. */
+static sfem_obstacle_def read_floor(const char *text, obstacle *o)
+{
+    const int sign = *text == '-' ? -1 : 1, axis = text[sign < 0] - 'x';
+    const char *number = text + (sign < 0) + 1;
+    double d;
+    if (axis < 0 || axis > 2 || *number != '=') ex_fail("--floor '%s': not as 'z=0' or '-x=2'", text);
+    ex_numbers("--floor", number + 1, 1, &d);
+    o->normal[axis] = sign;
+    o->point[axis] = d;
+    return sfem_obstacle_plane(o->normal, o->point);
+}
+
+/* 'sphere:X,Y,Z,R' and a velocity, or none. */
+static sfem_obstacle_def read_sphere(const char *text, obstacle *o, double *velocity)
+{
+    sfem_obstacle_def def = sfem_default_obstacle_def();
+    double number[7] = {0, 0, 0, 0, 0, 0, 0};
+    const char *s;
+    int k, count = 1;
+    if (strncmp(text, "sphere:", 7) != 0)
+        ex_fail("--obstacle '%s': only spheres, 'sphere:X,Y,Z,R'", text);
+    for (s = text; *s; ++s) count += *s == ',';
+    ex_numbers("--obstacle", text + 7, count == 4 ? 4 : 7, number);
+    def.kind = SFEM_OBSTACLE_SPHERE;
+    o->sphere = 1;
+    o->radius = def.size[0] = number[3];
+    for (k = 0; k < 3; ++k) {
+        def.position[k] = number[k];
+        velocity[k] = number[4 + k];
+    }
+    return def;
+}
+
+/* What it touches. */
+static void add_obstacles(run *r)
+{
+    const int floors = ex_given(&r->o, "--floor"), all = floors + ex_given(&r->o, "--obstacle");
+    sfem_contact_surface surface = sfem_default_contact_surface();
+    sfem_error err;
+    int k;
+    if (all == 0) return;
+    if (r->modal) ex_fail("--floor and --obstacle: modal bodies touch nothing");
+    if (all > MAX_OBSTACLES) ex_fail("no more than %d obstacles", MAX_OBSTACLES);
+    surface.friction = ex_real(&r->o, "--friction");
+    surface.restitution = ex_real(&r->o, "--restitution");
+    must(sfem_contact_create(NULL, &r->contact, &err), &err);
+    must(sfem_contact_add_body(r->contact, r->body, &surface, ~0u, NULL, &err), &err);
+    for (k = 0; k < all; ++k) {
+        obstacle *o = r->obstacle + r->obstacles++;
+        double velocity[3] = {0, 0, 0};
+        sfem_obstacle_def def = k < floors ? read_floor(ex_nth(&r->o, "--floor", k), o)
+                                           : read_sphere(ex_nth(&r->o, "--obstacle", k - floors), o, velocity);
+        def.contact = surface;
+        must(sfem_contact_add_obstacle(r->contact, &def, &o->id, &err), &err);
+        must(sfem_contact_move_obstacle(r->contact, o->id, def.position, NULL, velocity, NULL, &err), &err);
+    }
+}
+
+/* The deepest that any node of the surface is in an obstacle now. */
+static double deepest(const run *r)
+{
+    const sfem_real *u = sfem_body_displacement(r->body);
+    double most = 0;
+    sfem_int i;
+    int k, c;
+    for (k = 0; k < r->obstacles; ++k) {
+        const obstacle *o = r->obstacle + k;
+        double at[3], axes[9];
+        sfem_contact_obstacle_pose(r->contact, o->id, at, axes);
+        for (i = 0; i < 3 * r->surface.triangles; ++i) {
+            const size_t n = 3 * (size_t)r->surface.tri[i];
+            double along = 0, square = 0;
+            for (c = 0; c < 3; ++c) {
+                const double d = r->mesh.x[n + (size_t)c] + u[n + (size_t)c] - at[c];
+                along += o->normal[c] * d;
+                square += d * d;
+            }
+            most = fmax(most, o->sphere ? o->radius - sqrt(square) : -along);
+        }
+    }
+    return most;
+}
+
 /* Adds one --velocity to v: numbers, or a rotation about the middle of the box, or Gaussian noise. */
 static void add_velocity(const run *r, const char *text, double *v)
 {
@@ -713,6 +812,11 @@ static void step(run *r)
 {
     sfem_error err;
     move_hand(r, when_is_it(r) + r->h);
+    if (r->contact) {
+        must(sfem_contact_step(r->contact, r->h, &err), &err);
+        r->penetration = fmax(r->penetration, deepest(r));
+        return;
+    }
     if (!r->modal) {
         must(sfem_body_step(r->body, r->h, &err), &err);
         return;
@@ -936,6 +1040,10 @@ static void report(run *r)
         printf("pieces %d\nbroken_edges %d\nenergy_error %.3g\n", (int)f.pieces, (int)f.broken,
                f.scale > 0 ? fabs(f.error) / f.scale : 0.0);
     }
+    if (r->contact) {
+        const sfem_contact_info c = sfem_contact_get_info(r->contact);
+        printf("contacts %d\npenetration %.3g\ncontact_work %.9g\n", (int)c.contacts, r->penetration, c.work);
+    }
     printf("energy %.17g\n", energy(r).total);
     printf("max_displacement %.17g\n", largest_displacement(r));
 }
@@ -962,6 +1070,7 @@ int main(int argc, char **argv)
     add_loads(&r);
     take_hold(&r);
     set_velocity(&r);
+    add_obstacles(&r);
     choose_probe(&r);
     r.time = (double *)ex_new(5 * ((size_t)r.steps + 1), sizeof *r.time);
     r.tip = r.time + r.steps + 1;
@@ -976,6 +1085,7 @@ int main(int argc, char **argv)
     }
     free(r.time);
     free(r.u);
+    sfem_contact_free(r.contact);
     sfem_modal_free(r.modal);
     sfem_reduced_view_free(r.view);
     sfem_reduced_free(r.reduced);
