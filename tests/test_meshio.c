@@ -879,7 +879,6 @@ static void malformed_medit_is_refused_with_its_line(void **state)
         {23, "1 2 3 0 4", SFEM_BAD_MESH, 23, "tet 0 names vertex 0, the vertices are 1 .. 6"},
         {24, "1 2 3 7 4", SFEM_BAD_MESH, 24, "tet 1 names vertex 7, the vertices are 1 .. 6"},
         {24, "1 2 3 6 9999999999", SFEM_FORMAT, 24, "the reference of a tet is 9999999999"},
-        {25, "Tetrahedra 0", SFEM_FORMAT, 25, "Tetrahedra a second time"},
     };
     (void)state;
     assert_refused(medit_lines, table, TEST_COUNT(table));
