@@ -692,7 +692,8 @@ SFEM_DEF sfem_status sfem_mesh_write_pvd(const char *path, const char *const *fi
                                     const sfem_real *times, sfem_int count, sfem_error *err);
 
 /* Wavefront OBJ of a surface at positions x (NULL = rest): only the nodes on it, in mesh order.
- * surface NULL = the mesh's own. Scratch from the mesh's allocator: SFEM_OUT_OF_MEMORY. */
+ * surface NULL = the mesh's own. Scratch from the mesh's allocator: SFEM_OUT_OF_MEMORY. SFEM_BAD_MESH also for a
+ * triangle that names a node that is not there. */
 SFEM_DEF sfem_status sfem_mesh_write_obj(const char *path, const sfem_mesh *mesh,
                                     const sfem_surface *surface, const sfem_real *x,
                                     sfem_error *err);
@@ -7911,7 +7912,7 @@ done:
  * each node and links back up where a name ends the search [Morrison 1968, PATRICIA]: it takes no more steps
  * than the name has bits, whatever the names. */
 typedef struct sfemi_rows_name {
-    sfemi_word name;
+    sfemi_word name, text; /* how it is told apart, and how it stands in the file */
     sfem_int material;    /* its number, or -1: it is a set */
     sfem_int set[2];      /* of nodes, of tets, or -1 */
     size_t head;          /* Abaqus: 1 + the last of its members, a list by next[] */
@@ -8017,6 +8018,7 @@ static sfem_status sfemi_rows_open(sfemi_rows *r, sfemi_word w)
     inner = sfemi_scan_of(text, bytes, err);
     inner.comment = r->s.comment;
     inner.blank = r->s.blank;
+    inner.fortran = r->s.fortran;
     inner.file = sfemi_word_text(w, r->file[r->included]);
     r->text[r->included++] = text;
     r->outer[r->depth++] = r->s;
@@ -8294,6 +8296,7 @@ static sfem_status sfemi_rows_add_name(sfemi_rows *r, sfemi_word name, sfemi_wor
     p += r->names;
     memset(p, 0, sizeof *p);
     p->name = key;
+    p->text = name;
     p->material = p->set[0] = p->set[1] = -1;
     if (kind == SFEMI_ROWS_MATERIAL) {
         material = (sfem_region *)sfemi_grow(a, r->material, (size_t)r->materials, &r->materials_room, sizeof *material);
@@ -8855,7 +8858,7 @@ done:
 static sfem_status sfemi_inp_members(sfemi_rows *r, const sfemi_inp_rows *p)
 {
     sfemi_scan *s = &r->s;
-    const sfemi_word text = r->name[p->name].name;
+    const sfemi_word text = r->name[p->name].text;
     sfem_status status;
     sfemi_word w;
     int64_t v;
@@ -9011,7 +9014,7 @@ static sfem_status sfemi_inp_check(const sfemi_rows *r)
     for (i = 0; i < r->names; ++i)
         if (!r->name[i].defined)
             return sfemi_fail(r->s.err, SFEM_FORMAT, "a *SOLID SECTION names '%s', which is not there",
-                              sfemi_word_text(r->name[i].name, text));
+                              sfemi_word_text(r->name[i].text, text));
     return SFEM_OK;
 }
 
@@ -9025,6 +9028,7 @@ static sfem_status sfemi_inp_read(sfemi_rows *r)
     int any;
     r->inp = 1;
     s->blank = ',';
+    s->fortran = 1;
     for (;;) {
         SFEMI_TRY(sfemi_rows_next(r, &any));
         if (!any) break;
@@ -10205,7 +10209,14 @@ SFEM_DEF sfem_status sfem_mesh_write_obj(const char *path, const sfem_mesh *mesh
     }
     if (!x) x = mesh->x;
     SFEMI_NEW(sfem_int, number, &mesh->allocator, mesh->nodes);
-    for (k = 0; k < 3 * (size_t)surface->triangles; ++k) number[surface->tri[k]] = 1;
+    for (k = 0; k < 3 * (size_t)surface->triangles; ++k) {
+        if (surface->tri[k] < 0 || surface->tri[k] >= mesh->nodes) {
+            status = sfemi_fail(err, SFEM_BAD_MESH, "triangle %ld of the surface names node %ld, the mesh has %ld",
+                                (long)(k / 3), (long)surface->tri[k], (long)mesh->nodes);
+            goto done;
+        }
+        number[surface->tri[k]] = 1;
+    }
     SFEMI_TRY(sfemi_file_create(path, &f, err));
     for (i = 0; i < mesh->nodes; ++i)
         if (number[i]) {
@@ -35435,6 +35446,18 @@ SFEM_DEF sfem_embed_def sfem_default_embed_def(void)
     return d;
 }
 
+/* Squares of distances have to be finite. */
+static sfem_status sfemi_embed_check_mesh(const sfem_mesh *m, sfem_error *err)
+{
+    const sfem_status status = sfem_mesh_check(m, NULL, err);
+    size_t k;
+    for (k = 0; status == SFEM_OK && k < 3 * (size_t)m->nodes; ++k)
+        if (fabs(m->x[k]) > 1e100)
+            return sfemi_fail_at(err, SFEM_BAD_ARGUMENT, (sfem_int)(k / 3), -1,
+                                 "node %ld of the mesh is at %g m: beyond 1e100", (long)(k / 3), m->x[k]);
+    return status;
+}
+
 static sfem_status sfemi_embed_check(const sfem_embed_def *d, sfem_error *err)
 {
     size_t k;
@@ -35614,7 +35637,7 @@ SFEM_DEF sfem_status sfem_embed_create(const sfem_mesh *mesh, const sfem_embed_d
     memset(&job, 0, sizeof job);
     trees = sfemi_pool_of(&def->allocator);
     SFEMI_TRY(sfemi_embed_check(def, err));
-    SFEMI_TRY(sfem_mesh_check(mesh, NULL, err));
+    SFEMI_TRY(sfemi_embed_check_mesh(mesh, err));
     SFEMI_TRY(sfemi_embed_open(&search, mesh, &surface, &trees, err));
     SFEMI_NEW_OWNER(sfem_embed, e, &def->allocator);
     e->exec = def->exec;
@@ -37399,7 +37422,7 @@ static void sfemi_embed_pieces_apply(sfemi_embed_job *j, const sfem_embed_pieces
 {
     sfem_embed *e = j->embed;
     sfem_int v;
-    SFEM_ASSERT(e && o && b && b->damage && j->x && (!j->n || e->normal));
+    SFEM_ASSERT(e && o && b && b->damage && j->x && (!j->n || e->normal) && e->info.nodes == b->model->mesh.nodes);
     sfemi_workspace_bind(b);
     sfemi_fragments_rotate(b);
     if (j->n) {

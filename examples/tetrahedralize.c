@@ -23,7 +23,7 @@ static const ex_option table[] = {
     {"IN", "IN", NULL,
      "a surface: .obj, .stl, .ply, .off, or the triangles of a mesh file; one with tets, and no --tets, --size or --cage, is only "
      "written in the other format; without IN a torus"},
-    {"OUTPUT", "OUTPUT", NULL, "tets: .msh, .vtu or .veg; without it mesh.msh in the --out directory"},
+    {"OUTPUT", "OUTPUT", NULL, "tets: .msh, .vtu or .veg, with the numbers of regions, in .veg without; else mesh.msh in the --out directory"},
     {"--tets", "N", "5000", "how many, within 15 percent"},
     {"--size", "H", NULL, "or the longer edges of the lattice, m"},
     {"--linear", NULL, NULL, "10-node tets of a file become 4-node ones"},

@@ -398,6 +398,13 @@ static void wrong_input_is_named(void **state)
     assert_status(sfem_embed_create(&m, &d, &e, &err), SFEM_NOT_FINITE);
     assert_names(err, "normal of point 1");
     d.normal = NULL;
+    broken = ball(1e150, 1); /* at 2e150: the squares of distances from there are not finite */
+    for (k = 0; k < 3 * broken.nodes; ++k) broken.x[k] += 2e150;
+    assert_status(sfem_embed_create(&broken, &d, &e, &err), SFEM_BAD_ARGUMENT);
+    assert_int_equal(err.node, 0);
+    assert_names(err, "node 0 of the mesh is at 2e+150 m: beyond 1e100");
+    sfem_mesh_free(&broken);
+    broken = m;
     broken.tets = 0;
     assert_status(sfem_embed_create(&broken, &d, &e, &err), SFEM_BAD_MESH);
     assert_null(e);

@@ -1010,6 +1010,19 @@ static void medit_may_have_a_section_of_tets_for_each_part(void **state)
     refuse(many, strlen(many), NULL, SFEM_BAD_MESH, "tet 1001 names vertex 9");
 }
 
+static void abaqus_has_fortran_numbers_and_names_as_they_are_written(void **state)
+{
+    parsed p = parse_text("*NODE\n1, 0, 0, 0\n2, 1.5D1, 0, 0\n3, 0, 25d-1, 0\n4, 0, 0, 1E0\n*ELEMENT, TYPE=C3D4\n9, 1, 2, 3, 4\n"
+                          "*ELSET, ELSET=\"Upper Part\"\n9\n*NSET, NSET=Base\n1, 2\n*ELSET, elset=UPPER PART\n9\n",
+                          NULL);
+    (void)state;
+    assert_true(p.m.x[3] == 15 && p.m.x[7] == 2.5 && p.m.x[11] == 1);
+    assert_int_equal(p.s.sets, 2);
+    assert_string_equal(sfem_mesh_sets_find(&p.s, "upper part", 1)->name, "Upper Part");
+    assert_string_equal(sfem_mesh_sets_find(&p.s, "BASE", 0)->name, "Base");
+    drop(&p);
+}
+
 static void what_is_not_read_is_told_by_its_name(void **state)
 {
     static const struct {
@@ -1062,6 +1075,7 @@ int main(void)
         cmocka_unit_test(regions_are_found_behind_binary_bits_and_strings),
         cmocka_unit_test(polyhedra_and_cells_of_higher_order_are_volume_cells),
         cmocka_unit_test(medit_may_have_a_section_of_tets_for_each_part),
+        cmocka_unit_test(abaqus_has_fortran_numbers_and_names_as_they_are_written),
         cmocka_unit_test(what_is_not_read_is_told_by_its_name),
         cmocka_unit_test(changed_files_do_no_harm),
         cmocka_unit_test(every_allocation_may_fail),
