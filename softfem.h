@@ -7185,7 +7185,7 @@ static sfem_status sfemi_vtk_array_type(sfemi_vtk *r, const sfemi_type **type)
 static sfem_status sfemi_vtk_strings(sfemi_scan *s, int64_t count)
 {
     sfem_status status = SFEM_OK;
-    uint64_t bytes = 0, byte;
+    uint64_t bytes = 0, byte = 0;
     int more;
     if (!s->order) sfemi_scan_skip_line(s);
     for (; count > 0; --count) {
@@ -7300,7 +7300,7 @@ static sfem_status sfemi_vtk_colours(sfemi_vtk *r, sfemi_word keyword, sfem_int 
     const int table = sfemi_word_is(keyword, "LOOKUP_TABLE");
     sfem_status status;
     sfemi_word name;
-    int64_t count;
+    int64_t count = 0;
     SFEMI_TRY(sfemi_scan_skip_words(&r->s, 1, "the name of an array"));
     SFEMI_TRY(sfemi_scan_integer(&r->s, 0, INT32_MAX, "a count of components", &count));
     if (sfemi_word_is(keyword, "TEXTURE_COORDINATES")) SFEMI_TRY(sfemi_vtk_array_type(r, &type));

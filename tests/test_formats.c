@@ -593,7 +593,7 @@ static void malformed_inp_is_refused(void **state)
         {"11, 19, 2", "11, 19, 0", SFEM_FORMAT, "the step is 0"},
         {"11, 19, 2", "11", SFEM_FORMAT, "expected the last number, but the line ends"},
         {"MATERIAL=rubber\n1.", "MATERIAL=wood\n1.", SFEM_FORMAT, "a *SOLID SECTION names 'wood', which is not there"},
-        {"Elset=HARD", "Elset=HARDER", SFEM_FORMAT, "a *SOLID SECTION names 'harder', which is not there"},
+        {"Elset=HARD", "Elset=HARDER", SFEM_FORMAT, "a *SOLID SECTION names 'HARDER', which is not there"},
         {"Elset=HARD,", "", SFEM_FORMAT, "*SOLID SECTION without an ELSET="},
         {"1e6, 0.45", "soft", SFEM_FORMAT, "expected Young's modulus, found 'soft'"},
         {"1e6, 0.45", "1e6, inf", SFEM_NOT_FINITE, "Poisson's ratio is not finite"},
