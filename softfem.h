@@ -566,8 +566,8 @@ SFEM_DEF sfem_status sfem_mesh_near(const sfem_mesh *mesh, const sfem_patch *pat
  *                            gmsh:physical, gmsh:geometrical, CellEntityIds, material or MaterialId, if any
  *   Medit (.mesh, .meshb)    ASCII and binary in either order of bytes, format versions 1 to 4,
  *                            dimension 3; region is the reference of the tet; keywords in either
- *                            case, Vertices before Tetrahedra, all others passed over, End may be
- *                            missing
+ *                            case, Vertices before Tetrahedra, which may be several sections, all
+ *                            others passed over, End may be missing
  *   Abaqus (.inp)            one part, without a moved instance: *NODE; *ELEMENT of C3D4 and its kin; *NSET, *ELSET,
  *                            also GENERATE; *SOLID SECTION, *MATERIAL with an isotropic *ELASTIC and *DENSITY.
  *                            Region is the number of the last *SOLID SECTION with the tet, from 0 (-1 without one);
@@ -696,7 +696,8 @@ SFEM_DEF sfem_status sfem_mesh_read_sets(const char *path, const sfem_mesh_read_
  * written to the end (the disk is full), and what is there of it then is useless. SFEM_BAD_MESH for
  * negative counts, before anything is opened. */
 
-/* Gmsh 4.1 ASCII, regions as entity numbers: sfem_mesh_read gives the same mesh again. */
+/* Gmsh 4.1 ASCII, each region a volume of its number: sfem_mesh_read gives the same mesh again. Scratch from the mesh's
+ * allocator: SFEM_OUT_OF_MEMORY. */
 SFEM_DEF sfem_status sfem_mesh_write_msh(const char *path, const sfem_mesh *mesh, sfem_error *err);
 
 /* Values at nodes or in tets, to be written next to the mesh. */
@@ -719,7 +720,8 @@ SFEM_DEF sfem_status sfem_mesh_write_pvd(const char *path, const char *const *fi
                                     const sfem_real *times, sfem_int count, sfem_error *err);
 
 /* Wavefront OBJ of a surface at positions x (NULL = rest): only the nodes on it, in mesh order.
- * surface NULL = the mesh's own. Scratch from the mesh's allocator: SFEM_OUT_OF_MEMORY. */
+ * surface NULL = the mesh's own. Scratch from the mesh's allocator: SFEM_OUT_OF_MEMORY. SFEM_BAD_MESH also for a
+ * triangle that names a node that is not there. */
 SFEM_DEF sfem_status sfem_mesh_write_obj(const char *path, const sfem_mesh *mesh,
                                     const sfem_surface *surface, const sfem_real *x,
                                     sfem_error *err);
@@ -7038,6 +7040,8 @@ static sfem_status sfemi_gmsh_read(sfemi_gmsh *g)
         if (*w.p != '$') return sfemi_scan_expected(s, "a section like $Nodes", w);
         if (sfemi_word_is(w, "$MeshFormat"))
             status = sfemi_gmsh_format(g, start);
+        else if (!g->has_format && sfemi_word_is(w, "$NOD"))
+            return sfemi_scan_fail(s, SFEM_FORMAT, "Gmsh 1: only 2.0 to 2.2 and 4.1 are read");
         else if (!g->has_format)
             return sfemi_scan_expected(s, "$MeshFormat", w);
         else if (sfemi_word_is(w, "$Entities") || sfemi_word_is(w, "$PartitionedEntities"))
@@ -7046,6 +7050,8 @@ static sfem_status sfemi_gmsh_read(sfemi_gmsh *g)
             status = sfemi_gmsh_names(g);
         else if (sfemi_word_is(w, "$Nodes"))
             status = sfemi_gmsh_nodes(g);
+        else if (sfemi_word_is(w, "$ParametricNodes"))
+            return sfemi_scan_fail(s, SFEM_FORMAT, "$ParametricNodes: write the file without Mesh.SaveParametric, or as 4.1");
         else if (sfemi_word_is(w, "$Elements"))
             status = sfemi_gmsh_elements(g);
         else
@@ -7079,12 +7085,18 @@ typedef struct sfemi_vtk_shape {
 
 static sfemi_vtk_shape sfemi_vtk_shape_of(int type)
 {
-    static const sfemi_vtk_shape table[35] = {
+    static const sfemi_vtk_shape table[82] = {
         {0, 0, 0}, {1, 0, 0}, {0, 0, 0}, {2, 1, 0}, {0, 1, 0},   {3, 2, 3},  {0, 2, 0},  {0, 2, 255}, {4, 2, 0},
         {4, 2, 4}, {4, 3, 0}, {8, 3, 0}, {8, 3, 0}, {6, 3, 0},   {5, 3, 0},  {0, 3, 0},  {0, 3, 0},   {0, 0, 0},
         {0, 0, 0}, {0, 0, 0}, {0, 0, 0}, {3, 1, 0}, {6, 2, 3},   {8, 2, 4},  {10, 3, 0}, {0, 3, 0},   {0, 3, 0},
-        {0, 3, 0}, {9, 2, 4}, {0, 3, 0}, {0, 2, 4}, {0, 3, 0},   {0, 3, 0},  {0, 3, 0},  {7, 2, 3}};
-    return table[type < 35 ? type : 0];
+        {0, 3, 0}, {9, 2, 4}, {0, 3, 0}, {0, 2, 4}, {0, 3, 0},   {0, 3, 0},  {0, 3, 0},  {7, 2, 3},
+        {0, 1, 0}, {0, 2, 0}, {0, 3, 0}, {0, 0, 0}, {0, 0, 0},   {0, 0, 0},  {0, 3, 0},  {0, 3, 0},   {0, 0, 0}, /* 35.. */
+        {0, 0, 0}, {0, 0, 0}, {0, 0, 0}, {0, 0, 0}, {0, 0, 0},   {0, 0, 0},  {0, 0, 0},  {0, 1, 0},   {0, 2, 0},
+        {0, 2, 0}, {0, 2, 0}, {0, 3, 0}, {0, 3, 0}, {0, 0, 0},   {0, 0, 0},  {0, 0, 0},  {0, 1, 0},   {0, 2, 3}, /* 53.. */
+        {0, 2, 4}, {0, 2, 0}, {0, 3, 0}, {0, 3, 0}, {0, 3, 0},   {0, 3, 0},  {0, 1, 0},  {0, 2, 3},   {0, 2, 4},
+        {0, 3, 0}, {0, 3, 0}, {0, 3, 0}, {0, 3, 0}, {0, 1, 0},   {0, 2, 3},  {0, 2, 4},  {0, 3, 0},   {0, 3, 0}, /* 71.. */
+        {0, 3, 0}, {0, 3, 0}};
+    return table[type < 82 ? type : 0];
 }
 
 /* May the array of that name tell the regions of cells? */
@@ -7186,8 +7198,9 @@ static sfem_status sfemi_vtk_other(sfemi_vtk *r, int type, int64_t nodes, int64_
     sfem_status status;
     int64_t v;
     SFEMI_TRY(sfemi_extra_in(r->x, shape.dimension, region));
-    if (type != 24) sfemi_extra_begin(r->x, shape.dimension, shape.corners == 255 ? nodes : shape.corners);
-    if (!r->x->ins && !r->x->faces) return sfemi_typed_skip(s, r->cell_type, nodes, "another number of a cell");
+    sfemi_extra_begin(r->x, type == 24 ? -1 : shape.dimension, shape.corners == 255 ? nodes : shape.corners);
+    if (!r->x->ins && !(r->x->faces && r->x->corners)) /* the numbers of a polyhedron are not nodes only */
+        return sfemi_typed_skip(s, r->cell_type, nodes, "another number of a cell");
     for (; nodes > 0; --nodes) {
         SFEMI_TRY(sfemi_typed_integer(s, r->cell_type, INT64_MIN, INT64_MAX, "a node of a cell", &v));
         if (v < 0 || v >= r->m.nodes)
@@ -7386,6 +7399,47 @@ done:
     return status;
 }
 
+/* The type of an array, which may be one of bits or strings, too. */
+static sfem_status sfemi_vtk_array_type(sfemi_vtk *r, const sfemi_type **type)
+{
+    static const sfemi_type more[2] = {{"bit", 1, 'b'}, {"string", 1, 's'}};
+    const sfemi_word w = sfemi_scan_peek(&r->s);
+    int k;
+    for (k = 0; k < 2; ++k)
+        if (sfemi_word_is(w, more[k].name)) {
+            *type = more + k;
+            r->s.p += w.n;
+            return SFEM_OK;
+        }
+    return sfemi_vtk_type(r, "the type of an array", type);
+}
+
+/* Goes past so many strings: in text lines, in binary files each behind its length, of which the first two bits tell the
+ * bytes: 8, 4, 2, 1. */
+static sfem_status sfemi_vtk_strings(sfemi_scan *s, int64_t count)
+{
+    sfem_status status = SFEM_OK;
+    uint64_t bytes = 0, byte = 0;
+    int more;
+    if (!s->order) sfemi_scan_skip_line(s);
+    for (; count > 0; --count) {
+        if (s->p == s->end) return sfemi_scan_fail(s, SFEM_FORMAT, "expected another string, but the data ends");
+        if (!s->order) {
+            sfemi_scan_skip_line(s);
+            continue;
+        }
+        SFEMI_TRY(sfemi_scan_bits(s, 1, "the length of a string", &bytes));
+        more = (8 >> (bytes >> 6)) - 1;
+        for (bytes &= 63; more > 0; --more) {
+            SFEMI_TRY(sfemi_scan_bits(s, 1, "the length of a string", &byte));
+            bytes = bytes << 8 | byte;
+        }
+        SFEMI_TRY(sfemi_scan_skip_bytes(s, bytes, "a string"));
+    }
+done:
+    return status;
+}
+
 /* An array of values, of which only the regions of `cells` cells are kept; 0: the values are no cells'. */
 static sfem_status sfemi_vtk_array(sfemi_vtk *r, sfemi_word name, const sfemi_type *type, int64_t components,
                                    int64_t tuples, sfem_int cells)
@@ -7397,7 +7451,12 @@ static sfem_status sfemi_vtk_array(sfemi_vtk *r, sfemi_word name, const sfemi_ty
         r->region_scan = r->s;
         r->region_type = type;
     }
-    SFEMI_TRY(sfemi_typed_skip(&r->s, type, components * tuples, "another value of an array"));
+    if (type->kind == 's')
+        status = sfemi_vtk_strings(&r->s, components * tuples);
+    else if (type->kind == 'b' && r->s.order)
+        status = sfemi_scan_skip_bytes(&r->s, (uint64_t)(components * tuples + 7) / 8, "another bit of an array");
+    else
+        status = sfemi_typed_skip(&r->s, type, components * tuples, "another value of an array");
 done:
     r->s.order = 0;
     return status;
@@ -7427,7 +7486,7 @@ static sfem_status sfemi_vtk_field(sfemi_vtk *r, sfem_int cells)
         if (!name.n) return sfemi_scan_expected(s, "the name of an array", name);
         SFEMI_TRY(sfemi_scan_integer(s, 0, INT32_MAX, "a count of components", &components));
         SFEMI_TRY(sfemi_scan_integer(s, 0, INT32_MAX, "a count of tuples", &tuples));
-        SFEMI_TRY(sfemi_vtk_type(r, "the type of an array", &type));
+        SFEMI_TRY(sfemi_vtk_array_type(r, &type));
         SFEMI_TRY(sfemi_vtk_array(r, name, type, components, tuples, cells));
     }
 done:
@@ -7453,7 +7512,7 @@ static sfem_status sfemi_vtk_attribute(sfemi_vtk *r, int64_t components, sfem_in
     const sfemi_word name = sfemi_scan_word(s);
     const sfemi_type *type;
     sfem_status status;
-    SFEMI_TRY(sfemi_vtk_type(r, "the type of an array", &type));
+    SFEMI_TRY(sfemi_vtk_array_type(r, &type));
     if (!components) { /* SCALARS */
         components = 1;
         s->in_row = 1;
@@ -7463,6 +7522,25 @@ static sfem_status sfemi_vtk_attribute(sfemi_vtk *r, int64_t components, sfem_in
         if (sfemi_word_is(sfemi_scan_peek(s), "LOOKUP_TABLE")) SFEMI_TRY(sfemi_scan_skip_words(s, 2, "a table"));
     }
     status = sfemi_vtk_array(r, name, type, components, tuples, cells);
+done:
+    return status;
+}
+
+/* TEXTURE_COORDINATES name components type, COLOR_SCALARS name components, LOOKUP_TABLE name entries; values, which are
+ * bytes of the last two in binary files. None of them tells regions. */
+static sfem_status sfemi_vtk_colours(sfemi_vtk *r, sfemi_word keyword, sfem_int tuples)
+{
+    const sfemi_type *type = sfemi_types + 3; /* uchar */
+    const int table = sfemi_word_is(keyword, "LOOKUP_TABLE");
+    sfem_status status;
+    sfemi_word name;
+    int64_t count = 0;
+    SFEMI_TRY(sfemi_scan_skip_words(&r->s, 1, "the name of an array"));
+    SFEMI_TRY(sfemi_scan_integer(&r->s, 0, INT32_MAX, "a count of components", &count));
+    if (sfemi_word_is(keyword, "TEXTURE_COORDINATES")) SFEMI_TRY(sfemi_vtk_array_type(r, &type));
+    name.p = NULL;
+    name.n = 0;
+    status = sfemi_vtk_array(r, name, type, table ? 4 : count, table ? count : tuples, 0);
 done:
     return status;
 }
@@ -7490,6 +7568,9 @@ static void sfemi_vtk_data(sfemi_vtk *r)
             status = sfemi_vtk_field(r, cells);
         else if (sfemi_word_is(w, "METADATA"))
             sfemi_vtk_skip_metadata(s);
+        else if (sfemi_word_is(w, "TEXTURE_COORDINATES") || sfemi_word_is(w, "COLOR_SCALARS") ||
+                 sfemi_word_is(w, "LOOKUP_TABLE"))
+            status = sfemi_vtk_colours(r, w, tuples);
         else {
             for (k = 0; k < sizeof known / sizeof *known && !sfemi_word_is(w, known[k].name);) ++k;
             if (k == sizeof known / sizeof *known) break;
@@ -7510,6 +7591,8 @@ static sfem_status sfemi_vtk_read(sfemi_vtk *r)
     while (status == SFEM_OK && (w = sfemi_scan_word(s)).n) {
         if (sfemi_word_is(w, "DATASET")) {
             w = sfemi_scan_peek(s);
+            if (sfemi_word_is(w, "POLYDATA"))
+                return sfemi_scan_fail(s, SFEM_FORMAT, "expected UNSTRUCTURED_GRID, found 'POLYDATA': write surfaces as .ply");
             if (!sfemi_word_is(w, "UNSTRUCTURED_GRID"))
                 return sfemi_scan_expected(s, "UNSTRUCTURED_GRID", w);
             s->p += w.n;
@@ -7567,8 +7650,9 @@ static sfem_status sfemi_vtu_file(sfemi_vtu *r, const sfemi_tag *t)
     const sfemi_word type = sfemi_xml_attribute(t, "type"), compressor = sfemi_xml_attribute(t, "compressor");
     char text[25];
     if (!sfemi_word_is(type, "UnstructuredGrid"))
-        return sfemi_scan_fail(&r->v.s, SFEM_FORMAT, "a VTK file of %s: only UnstructuredGrid is read",
-                               sfemi_word_text(type, text));
+        return sfemi_scan_fail(&r->v.s, SFEM_FORMAT, "a VTK file of %s: only UnstructuredGrid is read%s",
+                               sfemi_word_text(type, text),
+                               sfemi_word_is(type, "PolyData") ? "; write surfaces as .ply" : "");
     if (compressor.n)
         return sfemi_scan_fail(&r->v.s, SFEM_FORMAT,
                                "compressed data is not read: write it raw (ParaView: Compressor Type None; vtk: "
@@ -7788,7 +7872,7 @@ typedef struct sfemi_medit {
     sfem_mesh m;
     sfemi_extra *x;
     int has_dimension, has_vertices, has_tets;
-    sfem_int triangles;
+    sfem_int triangles, room; /* room: of tets */
 } sfemi_medit;
 
 static sfem_status sfemi_medit_dimension(sfemi_medit *r)
@@ -7827,21 +7911,44 @@ done:
     return status;
 }
 
+/* Room for n tets more; some programs write a section of tets for each part. */
+static sfem_status sfemi_medit_room(sfemi_medit *r, sfem_int n)
+{
+    const sfem_allocator *a = &r->m.allocator;
+    const sfem_int have = r->m.tets;
+    sfem_error *err = r->s.err;
+    sfem_status status = SFEM_OK;
+    sfem_int *tet = NULL, *region = NULL, room;
+    if (n > INT32_MAX - have) return sfemi_scan_fail(&r->s, SFEM_TOO_LARGE, "more than 2^31 - 1 tets");
+    if (r->m.tet && have + n <= r->room) return SFEM_OK;
+    room = r->room > INT32_MAX / 2 || 2 * r->room < have + n ? have + n : 2 * r->room;
+    SFEMI_NEW(sfem_int, tet, a, 4 * (size_t)room);
+    SFEMI_NEW(sfem_int, region, a, room);
+    if (have) memcpy(tet, r->m.tet, 4 * (size_t)have * sizeof *tet);
+    if (have) memcpy(region, r->m.region, (size_t)have * sizeof *region);
+    sfemi_delete(a, r->m.tet);
+    sfemi_delete(a, r->m.region);
+    r->m.tet = tet;
+    r->m.region = region;
+    r->room = room;
+    return SFEM_OK;
+done:
+    sfemi_delete(a, tet);
+    return status;
+}
+
 /* The count; rows of 4 or 10 vertices, numbered from 1, and the reference. */
 static sfem_status sfemi_medit_tets(sfemi_medit *r, int nodes)
 {
     sfemi_scan *s = &r->s;
-    sfem_error *err = s->err;
-    sfem_status status = SFEM_OK;
+    sfem_status status;
     sfem_int n = 0, i;
     int64_t v;
     int k;
-    if (r->has_tets) return sfemi_scan_fail(s, SFEM_FORMAT, "Tetrahedra a second time");
     if (!r->has_vertices) return sfemi_scan_fail(s, SFEM_FORMAT, "Tetrahedra come before Vertices");
     SFEMI_TRY(sfemi_scan_count(s, 10, "the count of tets", &n));
-    SFEMI_NEW(sfem_int, r->m.tet, &r->m.allocator, 4 * (size_t)n);
-    SFEMI_NEW(sfem_int, r->m.region, &r->m.allocator, n);
-    for (i = 0; i < n; ++i) {
+    SFEMI_TRY(sfemi_medit_room(r, n));
+    for (n += r->m.tets, i = r->m.tets; i < n; ++i) {
         for (k = 0; k < nodes; ++k) {
             SFEMI_TRY(sfemi_scan_size(s, INT64_MIN, INT64_MAX, "a vertex of a tet", &v));
             if (v < 1 || v > r->m.nodes) {
@@ -7857,10 +7964,11 @@ static sfem_status sfemi_medit_tets(sfemi_medit *r, int nodes)
         r->m.region[i] = (sfem_int)v;
     }
     if (nodes > 4 && !r->x->def.linear)
-        r->x->tets10 = n;
-    else
+        r->x->tets10 += n - r->m.tets;
+    else {
+        if (nodes > 4) r->x->info.linear += n - r->m.tets;
         r->m.tets = n;
-    if (nodes > 4) r->x->info.linear = n;
+    }
     r->has_tets = 1;
 done:
     return status;
@@ -8038,7 +8146,7 @@ done:
  * each node and links back up where a name ends the search [Morrison 1968, PATRICIA]: it takes no more steps
  * than the name has bits, whatever the names. */
 typedef struct sfemi_rows_name {
-    sfemi_word name;
+    sfemi_word name, text; /* how it is told apart, and how it stands in the file */
     sfem_int material;    /* its number, or -1: it is a set */
     sfem_int set[2];      /* of nodes, of tets, or -1 */
     size_t head;          /* Abaqus: 1 + the last of its members, a list by next[] */
@@ -8144,6 +8252,7 @@ static sfem_status sfemi_rows_open(sfemi_rows *r, sfemi_word w)
     inner = sfemi_scan_of(text, bytes, err);
     inner.comment = r->s.comment;
     inner.blank = r->s.blank;
+    inner.fortran = r->s.fortran;
     inner.file = sfemi_word_text(w, r->file[r->included]);
     r->text[r->included++] = text;
     r->outer[r->depth++] = r->s;
@@ -8421,6 +8530,7 @@ static sfem_status sfemi_rows_add_name(sfemi_rows *r, sfemi_word name, sfemi_wor
     p += r->names;
     memset(p, 0, sizeof *p);
     p->name = key;
+    p->text = name;
     p->material = p->set[0] = p->set[1] = -1;
     if (kind == SFEMI_ROWS_MATERIAL) {
         material = (sfem_region *)sfemi_grow(a, r->material, (size_t)r->materials, &r->materials_room, sizeof *material);
@@ -8982,7 +9092,7 @@ done:
 static sfem_status sfemi_inp_members(sfemi_rows *r, const sfemi_inp_rows *p)
 {
     sfemi_scan *s = &r->s;
-    const sfemi_word text = r->name[p->name].name;
+    const sfemi_word text = r->name[p->name].text;
     sfem_status status;
     sfemi_word w;
     int64_t v;
@@ -9138,7 +9248,7 @@ static sfem_status sfemi_inp_check(const sfemi_rows *r)
     for (i = 0; i < r->names; ++i)
         if (!r->name[i].defined)
             return sfemi_fail(r->s.err, SFEM_FORMAT, "a *SOLID SECTION names '%s', which is not there",
-                              sfemi_word_text(r->name[i].name, text));
+                              sfemi_word_text(r->name[i].text, text));
     return SFEM_OK;
 }
 
@@ -9152,6 +9262,7 @@ static sfem_status sfemi_inp_read(sfemi_rows *r)
     int any;
     r->inp = 1;
     s->blank = ',';
+    s->fortran = 1;
     for (;;) {
         SFEMI_TRY(sfemi_rows_next(r, &any));
         if (!any) break;
@@ -9245,7 +9356,7 @@ static sfem_status sfemi_mesh_parse_medit(const sfemi_scan *s, int binary, sfemi
     r.x = x;
     r.m.allocator = x->def.allocator;
     status = binary ? sfemi_medit_read_binary(&r) : sfemi_medit_read(&r);
-    if (status == SFEM_OK && !r.has_tets && !(r.has_vertices && x->faces)) {
+    if (status == SFEM_OK && !r.has_tets && !(r.has_vertices && (x->faces || x->info.others))) {
         if (r.has_vertices && x->info.triangles)
             status = sfemi_scan_fail(&r.s, SFEM_FORMAT,
                                      "there are no Tetrahedra, but %ld triangles: sfem_mesh_from_surface makes tets of them",
@@ -9284,6 +9395,11 @@ static sfem_status sfemi_mesh_parsed_check(const sfemi_extra *x, const sfem_mesh
                           "there are %ld tets of 10 nodes: the option 'linear' of sfem_mesh_read_def reads them as 4-node tets",
                           (long)x->tets10);
     if (m->tets > 0) return SFEM_OK;
+    if (x->info.others)
+        return sfemi_fail(x->err, SFEM_BAD_MESH,
+                          "there are %ld volume cells, but none is a tet of 4 or 10 nodes: hexahedra and the like, and tets of "
+                          "third order, are not read",
+                          (long)x->info.others);
     if (x->info.triangles)
         return sfemi_fail(x->err, SFEM_BAD_MESH,
                           "there are %ld nodes and %ld triangles, but no 4-node tets: sfem_mesh_from_surface makes tets of "
@@ -9784,7 +9900,8 @@ static sfemi_mesh_kind sfemi_mesh_find(const sfemi_scan *s)
     sfemi_scan behind = *s; /* the comments at the start */
     behind.comment = '#';
     sfemi_scan_space(&behind);
-    if (sfemi_scan_begins(s, "$")) return SFEMI_GMSH;
+    if (sfemi_scan_begins(s, "$") && s->end - s->p > 1 && s->p[1] > ' ' && s->p[1] != '$') return SFEMI_GMSH; /* "$ " is a
+                                                                                            * comment of Nastran */
     if (sfemi_scan_begins(s, "# vtk DataFile Version")) return SFEMI_VTK;
     if (sfemi_scan_begins(s, "<?xml") || sfemi_scan_begins(s, "<VTKFile") || sfemi_scan_begins(s, "<!--")) return SFEMI_VTU;
     if (s->end - s->p >= 8 && (!memcmp(s->p, medit[0], 4) || !memcmp(s->p, medit[1], 4))) return SFEMI_MEDIT_BINARY;
@@ -10096,19 +10213,57 @@ static void sfemi_file_point(FILE *f, const sfem_real *x)
     sfemi_file_real(f, x[2], "\n");
 }
 
+/* The regions, each once; 1 where there are none. */
+static sfem_status sfemi_msh_regions(const sfem_mesh *m, sfemi_tags *out, sfem_error *err)
+{
+    sfem_status status = sfemi_tags_room(out, 1, &m->allocator, err);
+    sfem_int i;
+    if (status == SFEM_OK && (!m->region || m->tets < 1)) sfemi_tags_add(out, 1);
+    for (i = 0; m->region && i < m->tets && status == SFEM_OK; ++i) {
+        if (i && m->region[i] == m->region[i - 1]) continue;
+        status = sfemi_tags_room(out, 1, &m->allocator, err);
+        if (status == SFEM_OK) sfemi_tags_add(out, m->region[i]);
+    }
+    return status;
+}
+
+/* A volume for each region, without which Gmsh reads no elements of it. All have the box of the mesh. */
+static void sfemi_msh_entities(FILE *f, const sfem_mesh *m, const sfemi_tags *regions)
+{
+    sfem_real box[6] = {0, 0, 0, 0, 0, 0};
+    size_t k;
+    int c;
+    for (k = 0; k < 3 * (size_t)m->nodes; ++k) {
+        c = (int)(k % 3);
+        if (k < 3 || m->x[k] < box[c]) box[c] = m->x[k];
+        if (k < 3 || m->x[k] > box[c + 3]) box[c + 3] = m->x[k];
+    }
+    fprintf(f, "$Entities\n0 0 0 %ld\n", (long)regions->used);
+    for (k = 0; k < regions->used; ++k) {
+        fprintf(f, "%ld ", (long)regions->tag[k]);
+        for (c = 0; c < 6; ++c) sfemi_file_real(f, box[c], " ");
+        fputs("0 0\n", f); /* neither physical groups nor faces */
+    }
+    fputs("$EndEntities\n", f);
+}
+
 SFEM_DEF sfem_status sfem_mesh_write_msh(const char *path, const sfem_mesh *mesh, sfem_error *err)
 {
     const sfem_int *region;
     sfem_status status;
     sfem_int i, end, blocks = 0;
+    sfemi_tags regions;
     FILE *f;
     SFEM_ASSERT(path && mesh);
+    memset(&regions, 0, sizeof regions);
     region = mesh->region;
-    status = sfemi_mesh_counts(mesh->nodes, mesh->tets, err);
-    if (status == SFEM_OK) status = sfemi_file_create(path, &f, err);
-    if (status != SFEM_OK) return status;
-    fprintf(f, "$MeshFormat\n4.1 0 8\n$EndMeshFormat\n$Nodes\n1 %ld 1 %ld\n3 1 0 %ld\n",
-            (long)mesh->nodes, (long)mesh->nodes, (long)mesh->nodes);
+    SFEMI_TRY(sfemi_mesh_counts(mesh->nodes, mesh->tets, err));
+    SFEMI_TRY(sfemi_msh_regions(mesh, &regions, err));
+    SFEMI_TRY(sfemi_file_create(path, &f, err));
+    fputs("$MeshFormat\n4.1 0 8\n$EndMeshFormat\n", f);
+    sfemi_msh_entities(f, mesh, &regions);
+    fprintf(f, "$Nodes\n1 %ld 1 %ld\n3 %ld 0 %ld\n", (long)mesh->nodes, (long)mesh->nodes, (long)regions.tag[0],
+            (long)mesh->nodes);
     for (i = 0; i < mesh->nodes; ++i) fprintf(f, "%ld\n", (long)i + 1);
     for (i = 0; i < mesh->nodes; ++i) sfemi_file_point(f, mesh->x + 3 * (size_t)i);
     for (i = 0; i < mesh->tets; ++i) blocks += i == 0 || (region && region[i] != region[i - 1]);
@@ -10124,7 +10279,10 @@ SFEM_DEF sfem_status sfem_mesh_write_msh(const char *path, const sfem_mesh *mesh
         }
     }
     fputs("$EndElements\n", f);
-    return sfemi_file_close(f, path, err);
+    status = sfemi_file_close(f, path, err);
+done:
+    sfemi_tags_free(&regions, &mesh->allocator);
+    return status;
 }
 
 /* Text inside the quotes of an XML attribute. */
@@ -10285,7 +10443,14 @@ SFEM_DEF sfem_status sfem_mesh_write_obj(const char *path, const sfem_mesh *mesh
     }
     if (!x) x = mesh->x;
     SFEMI_NEW(sfem_int, number, &mesh->allocator, mesh->nodes);
-    for (k = 0; k < 3 * (size_t)surface->triangles; ++k) number[surface->tri[k]] = 1;
+    for (k = 0; k < 3 * (size_t)surface->triangles; ++k) {
+        if (surface->tri[k] < 0 || surface->tri[k] >= mesh->nodes) {
+            status = sfemi_fail(err, SFEM_BAD_MESH, "triangle %ld of the surface names node %ld, the mesh has %ld",
+                                (long)(k / 3), (long)surface->tri[k], (long)mesh->nodes);
+            goto done;
+        }
+        number[surface->tri[k]] = 1;
+    }
     SFEMI_TRY(sfemi_file_create(path, &f, err));
     for (i = 0; i < mesh->nodes; ++i)
         if (number[i]) {
@@ -40019,6 +40184,18 @@ SFEM_DEF sfem_embed_def sfem_default_embed_def(void)
     return d;
 }
 
+/* Squares of distances have to be finite. */
+static sfem_status sfemi_embed_check_mesh(const sfem_mesh *m, sfem_error *err)
+{
+    const sfem_status status = sfem_mesh_check(m, NULL, err);
+    size_t k;
+    for (k = 0; status == SFEM_OK && k < 3 * (size_t)m->nodes; ++k)
+        if (fabs(m->x[k]) > 1e100)
+            return sfemi_fail_at(err, SFEM_BAD_ARGUMENT, (sfem_int)(k / 3), -1,
+                                 "node %ld of the mesh is at %g m: beyond 1e100", (long)(k / 3), m->x[k]);
+    return status;
+}
+
 static sfem_status sfemi_embed_check(const sfem_embed_def *d, sfem_error *err)
 {
     size_t k;
@@ -40198,7 +40375,7 @@ SFEM_DEF sfem_status sfem_embed_create(const sfem_mesh *mesh, const sfem_embed_d
     memset(&job, 0, sizeof job);
     trees = sfemi_pool_of(&def->allocator);
     SFEMI_TRY(sfemi_embed_check(def, err));
-    SFEMI_TRY(sfem_mesh_check(mesh, NULL, err));
+    SFEMI_TRY(sfemi_embed_check_mesh(mesh, err));
     SFEMI_TRY(sfemi_embed_open(&search, mesh, &surface, &trees, err));
     SFEMI_NEW_OWNER(sfem_embed, e, &def->allocator);
     e->exec = def->exec;
@@ -41702,13 +41879,13 @@ static sfem_status sfemi_clip_inner(sfemi_clip *s, sfem_int face, const sfem_int
         rotates = s->winding[f->corner[k]];
         for (i = 0; i <= hits; ++i) {
             const sfem_int number = i == hits ? -1 : s->order[along ? first[k] + i : last[k] - 1 - i];
-            const sfemi_clip_hit *h = s->hit + number;
-            const sfem_real t = number < 0 ? 1 : along ? h->t : 1 - h->t;
-            to = number < 0 ? corner[next]
-                            : sfemi_plane_vertex(s, 4 * number + SFEMI_CLIP_HIT, k == 0 ? t : k == 1 ? 1 - t : 0,
-                                                 k == 0 ? 0 : k == 1 ? t : 1 - t);
+            const sfemi_clip_hit *h = number < 0 ? NULL : s->hit + number;
+            const sfem_real t = !h ? 1 : along ? h->t : 1 - h->t;
+            to = !h ? corner[next]
+                    : sfemi_plane_vertex(s, 4 * number + SFEMI_CLIP_HIT, k == 0 ? t : k == 1 ? 1 - t : 0,
+                                         k == 0 ? 0 : k == 1 ? t : 1 - t);
             for (j = 0; j < abs(rotates); ++j) sfemi_plane_edge(p, rotates > 0 ? from : to, rotates > 0 ? to : from, 0);
-            if (number >= 0) rotates += (h->sign > 0) == along ? -1 : 1;
+            if (h) rotates += (h->sign > 0) == along ? -1 : 1;
             from = to;
         }
     }
@@ -41983,7 +42160,7 @@ static void sfemi_embed_pieces_apply(sfemi_embed_job *j, const sfem_embed_pieces
 {
     sfem_embed *e = j->embed;
     sfem_int v;
-    SFEM_ASSERT(e && o && b && b->damage && j->x && (!j->n || e->normal));
+    SFEM_ASSERT(e && o && b && b->damage && j->x && (!j->n || e->normal) && e->info.nodes == b->model->mesh.nodes);
     sfemi_workspace_bind(b);
     sfemi_fragments_rotate(b);
     if (j->n) {
