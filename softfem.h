@@ -18376,7 +18376,6 @@ typedef struct sfemi_damage {
     sfem_real *near_by;      /* [nodes] their weights q; 0 of all others */
     sfem_int *patch_tet, patch_tets; /* [model tets] the tets with such a node */
     unsigned char *in_patch; /* [model tets] 1: these */
-    int dangling;                /* dangling edges may be waiting */
 } sfemi_damage;
 
 SFEM_DEF sfem_damage_def sfem_default_damage_def(void)
@@ -19114,7 +19113,6 @@ static void sfemi_damage_refresh(sfemi_damage *d)
     sfem_int e;
     sfemi_damage_unmask(d);
     d->tets = d->events = d->fresh_count = 0;
-    d->dangling = 1;
     for (e = 0; e < model->mesh.tets; ++e) {
         const unsigned mask = sfemi_damage_zetas(d, e, zeta);
         int k, intact = 1;
@@ -20091,50 +20089,85 @@ static void sfemi_damage_merge(sfemi_damage *d)
     d->fresh_count = 0;
 }
 
-/* Is edge k, which is not broken, in every tet around it the only link between its nodes, or the tet loose,
- * so that it carries nothing? Faces without a tet that hangs together would stretch for ever. */
+/* The energy that sets the limit of edge k: its price, or what it stores at its strength. */
+static sfem_real sfemi_damage_limit(const sfemi_damage *d, sfem_int k)
+{
+    const sfemi_bonds *g = d->bonds;
+    const sfem_damage_def *def = &g->def;
+    sfem_real sum = 0;
+    sfem_int at;
+    if (def->criterion == SFEM_BREAK_ENERGY) return g->price[k];
+    for (at = g->tet_start[k]; at < g->tet_start[k + 1]; ++at) {
+        const sfem_int e = g->edge_tet[at] / 6;
+        const sfem_real lambda = g->model->lambda[e], mu = g->model->mu[e];
+        const sfem_real young = mu * (3 * lambda + 2 * mu) / (lambda + mu);
+        const sfem_real limit = g->factor[k] * (def->criterion == SFEM_BREAK_STRESS   ? def->strength / young
+                                                : def->criterion == SFEM_BREAK_STRAIN ? def->strength
+                                                                                      : def->soften[1]);
+        sum += g->model->volume[e] * young * limit * limit / 2;
+    }
+    return sum;
+}
+
+/* w_k, in tension or compression. */
+static sfem_real sfemi_damage_carried(const sfemi_damage *d, sfem_int k)
+{
+    const sfemi_bonds *g = d->bonds;
+    sfem_real sum = 0;
+    sfem_int at;
+    for (at = g->tet_start[k]; at < g->tet_start[k + 1]; ++at) {
+        const int place = (int)(g->edge_tet[at] % 6);
+        sfem_real s[6], diagonal[6];
+        sfem_damage_tet tet;
+        sfemi_damage_tet(g, g->edge_tet[at] / 6, &tet);
+        sfemi_damage_tet_stress(d, g->edge_tet[at] / 6, &tet, s, diagonal);
+        if (diagonal[place] > 0) sum += tet.volume * s[place] * s[place] / (2 * diagonal[place]);
+    }
+    return sum;
+}
+
+/* An edge that is not broken hangs if no tet around it is whole, so that only a mechanism of single edges holds it, and
+ *   in each of these tets it is the only link between its nodes, or the tet does not hang together; or
+ *   it carries next to nothing.
+ * Breaking it damages no further tet: cracks do not grow by it. */
 static int sfemi_damage_is_dangling(const sfemi_damage *d, sfem_int k)
 {
     const sfemi_bonds *g = d->bonds;
     sfem_real zeta[6];
     sfem_int at;
+    int link = 1;
     for (at = g->tet_start[k]; at < g->tet_start[k + 1]; ++at) {
         const sfem_int e = g->edge_tet[at] / 6;
-        if (d->kind[e] == SFEMI_DISCONNECTED) continue;
-        if (d->kind[e] == SFEMI_INTACT ||
-            !(sfemi_damage_links[sfemi_damage_zetas(d, e, zeta)] >> g->edge_tet[at] % 6 & 1))
-            return 0;
+        const unsigned mask = sfemi_damage_zetas(d, e, zeta);
+        if (mask == 63) return 0;
+        link &= d->kind[e] == SFEMI_DISCONNECTED || sfemi_damage_links[mask] >> g->edge_tet[at] % 6 & 1;
     }
-    return 1;
+    return link || sfemi_damage_carried(d, k) < SFEMI_DAMAGE_LEAST * sfemi_damage_limit(d, k);
 }
 
-/* Breaks dangling edges: no crack surface separates what they hold, and they hold next to nothing.
- * Breaking one may leave another. d->dangling: there may be some, for something broke or one had to
- * wait. */
+/* Breaks edges that hang. Breaking one may leave another. d->dangling: there may be some, for something broke or one had
+ * to wait. */
 static void sfemi_damage_sweep_dangling(sfemi_damage *d, const sfemi_damage_step *step,
                                     sfemi_damage_change *change)
 {
     const sfemi_bonds *g = d->bonds;
     sfem_real zeta[6];
     sfem_int i;
-    int pass, k, did = d->dangling || d->events;
+    int pass, k, did = 1;
     for (pass = 0; pass < 10 && did; ++pass) {
-        for (i = did = d->dangling = 0; i < d->tets; ++i) {
+        for (i = did = 0; i < d->tets; ++i) {
             const sfem_int e = d->tet[i];
-            const unsigned links = sfemi_damage_links[sfemi_damage_zetas(d, e, zeta)];
+            if (sfemi_damage_zetas(d, e, zeta) == 63) continue;
             for (k = 0; k < 6; ++k) {
                 const sfem_int edge = g->tet_edge[6 * e + k];
-                if (!(links >> k & 1 || d->kind[e] == SFEMI_DISCONNECTED) || g->never[edge] ||
-                    g->edge_tet[g->tet_start[edge]] / 6 != e)
+                if (g->never[edge] || !(d->zeta[edge] > 0) || g->edge_tet[g->tet_start[edge]] / 6 != e)
                     continue; /* each edge once, at its first tet */
-                if (!(d->zeta[edge] > 0) || !sfemi_damage_is_dangling(d, edge)) continue;
-                if (sfemi_damage_try(d, edge, 0, SFEM_BROKE_DANGLING, step, change)) did = 1;
-                else d->dangling = 1;
+                if (!sfemi_damage_is_dangling(d, edge)) continue;
+                did |= sfemi_damage_try(d, edge, 0, SFEM_BROKE_DANGLING, step, change);
             }
         }
         sfemi_damage_merge(d);
     }
-    d->dangling |= did;
 }
 
 /* zeta of a ductile edge, from the largest strain so far. */
