@@ -18304,6 +18304,8 @@ enum { SFEMI_NEVER = 1, SFEMI_BLADE_ONLY = 2 };
 
 /* Limits of w_k/price besides. At the front of a crack that advances w_k/price is 0.2 to 2 (measured as above). */
 #define SFEMI_DAMAGE_LEAST  0.18 /* below that no edge breaks: the stress has not reached it yet */
+#define SFEMI_DAMAGE_SLACK  0.5  /* below that an edge breaks that no tet holds */
+#define SFEMI_DAMAGE_HOLDS  4    /* tets that go together: fewer hold nothing */
 #define SFEMI_DAMAGE_MOST   1.5  /* at a crack, edges across its plane break at this whatever G is */
 #define SFEMI_DAMAGE_ASTRAY 3.0  /* and others at this; where there is no crack, edges break at 1 */
 
@@ -18321,7 +18323,7 @@ typedef struct sfemi_bonds {
     sfem_int *node_edge;     /* [2 edges] ascending */
     sfem_int *node_tet_start, *node_tet; /* [nodes+1], [4 tets] tets of a node, ascending */
     sfem_real *spacing;      /* [nodes] mean length of a node's edges, m */
-    unsigned char *outer;    /* [tets] bit a: the face opposite to node a is on the surface */
+    sfem_int *beside;        /* [tets][4] the tet behind the face opposite to a node, -1: none */
     sfem_real *area;         /* [edges] a, m^2 */
     sfem_real *price;        /* [edges] share Gc a and all factors, J */
     sfem_real *factor;       /* [edges] of strength and of strains */
@@ -18374,6 +18376,7 @@ typedef struct sfemi_damage {
     sfem_int *merge;         /* [model tets] */
     sfem_int *patch, patch_nodes; /* [nodes] those within reach of an edge, */
     sfem_real *near_by;      /* [nodes] their weights q; 0 of all others */
+    sfem_real *push;         /* [nodes][3] their configurational forces, N; 0 of all others */
     sfem_int *patch_tet, patch_tets; /* [model tets] the tets with such a node */
     unsigned char *in_patch; /* [model tets] 1: these */
 } sfemi_damage;
@@ -18466,7 +18469,7 @@ static sfem_status sfemi_bonds_allocate(sfemi_bonds *g, sfem_error *err)
     SFEMI_TAKE(sfem_int, g->node_tet_start, &g->pool, nodes + 1);
     SFEMI_TAKE(sfem_int, g->node_tet, &g->pool, 4 * tets);
     SFEMI_TAKE(sfem_real, g->spacing, &g->pool, nodes);
-    SFEMI_TAKE(unsigned char, g->outer, &g->pool, tets);
+    SFEMI_TAKE(sfem_int, g->beside, &g->pool, 4 * tets);
     SFEMI_TAKE(sfem_real, g->area, &g->pool, edges);
     SFEMI_TAKE(sfem_real, g->price, &g->pool, edges);
     SFEMI_TAKE(sfem_real, g->factor, &g->pool, edges);
@@ -18513,8 +18516,8 @@ static void sfemi_bonds_link(sfemi_bonds *g)
     g->tet_start[g->edges] = 6 * mesh->tets;
 }
 
-/* Is the face of tet e opposite to its node a on the surface? */
-static int sfemi_bonds_is_outer(const sfemi_bonds *g, sfem_int e, int a)
+/* The tet behind the face of tet e opposite to its node a, -1: none. */
+static sfem_int sfemi_bonds_beside(const sfemi_bonds *g, sfem_int e, int a)
 {
     const sfem_int *tet = g->model->mesh.tet, *t = tet + 4 * (size_t)e, node = t[(a + 1) % 4];
     sfem_int at;
@@ -18524,12 +18527,12 @@ static int sfemi_bonds_is_outer(const sfemi_bonds *g, sfem_int e, int a)
         if (g->node_tet[at] == e) continue;
         for (b = same = 0; b < 4; ++b)
             for (c = 0; c < 4; ++c) same += b != a && other[c] == t[b];
-        if (same == 3) return 0;
+        if (same == 3) return g->node_tet[at];
     }
-    return 1;
+    return -1;
 }
 
-/* The tets of each node, the mean length of its edges, the surface. */
+/* The tets of each node, the mean length of its edges, the tets beside each tet. */
 static void sfemi_bonds_surround(sfemi_bonds *g)
 {
     const sfem_mesh *mesh = &g->model->mesh;
@@ -18544,8 +18547,7 @@ static void sfemi_bonds_surround(sfemi_bonds *g)
         for (k = g->node_start[i]; k < g->node_start[i + 1]; ++k)
             g->spacing[i] += g->length[g->node_edge[k]] / (sfem_real)count;
     }
-    for (i = 0; i < mesh->tets; ++i)
-        for (k = 0; k < 4; ++k) g->outer[i] |= (unsigned char)(sfemi_bonds_is_outer(g, i, (int)k) << k);
+    for (k = 0; k < 4 * mesh->tets; ++k) g->beside[k] = sfemi_bonds_beside(g, k / 4, (int)(k % 4));
 }
 
 /* (0, 1), from the seed and the edge's nodes [Steele, Lea, Flood 2014: splitmix64]. */
@@ -18834,6 +18836,7 @@ static sfem_status sfemi_damage_create(const sfemi_bonds *bonds,
     SFEMI_TAKE(sfem_int, d->merge, &d->pool, tets);
     SFEMI_TAKE(sfem_int, d->patch, &d->pool, nodes);
     SFEMI_TAKE(sfem_real, d->near_by, &d->pool, nodes);
+    SFEMI_TAKE(sfem_real, d->push, &d->pool, 3 * nodes);
     SFEMI_TAKE(sfem_int, d->patch_tet, &d->pool, tets);
     SFEMI_TAKE(unsigned char, d->in_patch, &d->pool, tets);
     SFEMI_TAKE(sfem_int, d->stamp, &d->pool, nodes);
@@ -19448,7 +19451,8 @@ typedef struct sfemi_damage_round_job {
  *    smooth surface.
  * 3. The crack plane is across m, the direction of the largest principal mean stress, and goes through the mean place of
  *    the broken edges, weighted by distance from x0; through x0 where none is broken.
- * 4. G = |J - m m.J| / B, B the integral of q along the line through x0 across m and J.
+ * 4. G = |J - m m.J| / B, B the integral of q along the line through x0 across m and J. Fronts that face one another
+ *    across a ligament push against one another: there, if it is more, the sum of what points at x0 instead of |J|.
  *
  * Measured on a clamped strip, 12 cells high and one thick, whose G is known, at all edges that a crack met: G is 0.96
  * to 1.02 of it with cells of five and of six tets and body-centred ones; with r = 2.5 edges, without a core, 0.6 to 0.8.
@@ -19459,7 +19463,6 @@ typedef struct sfemi_damage_round_job {
 typedef struct sfemi_damage_patch {
     sfem_real x0[3], r;
     sfem_real frame[2][9];  /* the mean rotation at both ends of the step */
-    sfem_real j[3];         /* J, N m */
     sfem_real volume;       /* integral of q, m^3 */
     sfem_real centre[3];    /* integral of q (X - x0) */
     sfem_real damage[4];    /* sums over broken edges of the tets' weight (X - x0), weight */
@@ -19505,7 +19508,10 @@ static void sfemi_damage_gather_patch(sfemi_damage *d, sfem_int k, sfemi_damage_
 static void sfemi_damage_leave_patch(sfemi_damage *d)
 {
     sfem_int i;
-    for (i = 0; i < d->patch_nodes; ++i) d->near_by[d->patch[i]] = 0;
+    for (i = 0; i < d->patch_nodes; ++i) {
+        d->near_by[d->patch[i]] = 0;
+        memset(d->push + 3 * (size_t)d->patch[i], 0, 3 * sizeof *d->push);
+    }
     for (i = 0; i < d->patch_tets; ++i) d->in_patch[d->patch_tet[i]] = 0;
 }
 
@@ -19609,13 +19615,10 @@ static void sfemi_damage_patch_add(const sfemi_damage *d, sfem_int e, const sfem
 {
     const sfem_model *model = d->bonds->model;
     const sfem_int *t = model->mesh.tet + 4 * (size_t)e;
-    sfem_real g[4][3], h[9], stress[9], slope[3] = {0, 0, 0}, flux[3], w, q = 0, volume = model->volume[e];
+    sfem_real g[4][3], h[9], stress[9], w, q = 0, volume = model->volume[e];
     int a, c, j;
     sfemi_element_gradients(&model->mesh, e, g);
-    for (a = 0; a < 4; ++a) {
-        q += d->near_by[t[a]] / 4;
-        for (c = 0; c < 3; ++c) slope[c] += d->near_by[t[a]] * g[a][c];
-    }
+    for (a = 0; a < 4; ++a) q += d->near_by[t[a]] / 4;
     p->volume += volume * q;
     for (a = 0; a < 12; ++a)
         p->centre[a % 3] += volume * q * (model->mesh.x[3 * (size_t)t[a / 3] + (size_t)(a % 3)] - p->x0[a % 3]) / 4;
@@ -19633,14 +19636,17 @@ static void sfemi_damage_patch_add(const sfemi_damage *d, sfem_int e, const sfem
     if (d->kind[e] == SFEMI_DISCONNECTED) return;
     sfemi_damage_patch_gradient(d, e, step, p, g, h);
     w = sfemi_damage_patch_stress(d, e, h, stress);
-    for (c = 0; c < 3; ++c) flux[c] = sfemi_dot3(stress + 3 * c, slope);
-    for (c = 0; c < 3; ++c) {
-        for (j = 0; j < 3; ++j) p->j[c] += volume * h[3 * j + c] * flux[j];
-        p->j[c] -= volume * w * slope[c];
+    for (a = 0; a < 4; ++a) {
+        sfem_real flux[3], *push = d->push + 3 * (size_t)t[a];
+        if (!(d->near_by[t[a]] > 0)) continue;
+        for (c = 0; c < 3; ++c) flux[c] = sfemi_dot3(stress + 3 * c, g[a]);
+        for (c = 0; c < 3; ++c) {
+            for (j = 0; j < 3; ++j) push[c] += volume * h[3 * j + c] * flux[j];
+            push[c] -= volume * w * g[a][c];
+            for (j = 0; j < 4; ++j) /* n dA = -3 V grad of the shape function of the opposite node */
+                if (j != a && d->bonds->beside[4 * (size_t)e + (size_t)j] < 0) push[c] -= volume * w * g[j][c];
+        }
     }
-    for (a = 0; a < 4; ++a) /* n dA = -3 V grad of the shape function of the opposite node */
-        for (c = 0; d->bonds->outer[e] >> a & 1 && c < 3; ++c)
-            p->j[c] -= volume * w * (4 * q - d->near_by[t[a]]) * g[a][c];
     for (c = 0; c < 9; ++c) p->stress[c] += volume * q * (stress[c] + stress[3 * (c % 3) + c / 3]) / 2;
 }
 
@@ -19670,12 +19676,35 @@ static sfem_real sfemi_damage_patch_front(const sfemi_damage *d, const sfem_real
     return sum;
 }
 
+/* Forces in the crack's plane: their sum, to way, and how much of them points at the middle. */
+static sfem_real sfemi_damage_patch_force(const sfemi_damage *d, const sfemi_damage_patch *p, sfem_real way[3])
+{
+    sfem_real inwards = 0;
+    sfem_int i;
+    int c;
+    way[0] = way[1] = way[2] = 0;
+    for (i = 0; i < d->patch_nodes; ++i) {
+        const sfem_real *push = d->push + 3 * (size_t)d->patch[i], q = d->near_by[d->patch[i]];
+        const sfem_real off = sfemi_dot3(push, p->m);
+        sfem_real away[3], height, size;
+        sfemi_sub3(d->bonds->model->mesh.x + 3 * (size_t)d->patch[i], p->x0, away);
+        height = sfemi_dot3(away, p->m);
+        for (c = 0; c < 3; ++c) {
+            way[c] += q * (push[c] - off * p->m[c]);
+            away[c] -= height * p->m[c];
+        }
+        size = sqrt(sfemi_dot3(away, away));
+        if (size > 1e-3 * p->r) inwards -= q * sfemi_dot3(push, away) / size;
+    }
+    return inwards;
+}
+
 /* The energy that a crack round edge k would release for its area, J/m^2. d->patch and p->m, p->offset, which tell the
  * sides of the crack's plane, are good until sfemi_damage_leave_patch. */
 static sfem_real sfemi_damage_release_rate(sfemi_damage *d, sfem_int k, const sfemi_damage_step *step,
                                            sfemi_damage_patch *p)
 {
-    sfem_real stress[9], w[3], v[9], way[3], front[3], middle[3], size, along, length;
+    sfem_real stress[9], w[3], v[9], way[3], front[3], middle[3], size, inwards, length;
     sfem_int i;
     int c;
     sfemi_damage_gather_patch(d, k, p);
@@ -19685,8 +19714,7 @@ static sfem_real sfemi_damage_release_rate(sfemi_damage *d, sfem_int k, const sf
     sfemi_sym_eigen(3, stress, w, v);
     for (c = 0; c < 3; ++c) p->m[c] = v[3 * c];
     p->offset = p->damage[3] > 0 ? sfemi_dot3(p->damage, p->m) / p->damage[3] : 0;
-    along = sfemi_dot3(p->j, p->m);
-    for (c = 0; c < 3; ++c) way[c] = p->j[c] - along * p->m[c];
+    inwards = sfemi_damage_patch_force(d, p, way);
     size = sqrt(sfemi_dot3(way, way));
     if (!(size > 0)) return 0;
     for (c = 0; c < 3; ++c) way[c] /= size;
@@ -19694,7 +19722,7 @@ static sfem_real sfemi_damage_release_rate(sfemi_damage *d, sfem_int k, const sf
     for (c = 0; c < 3; ++c) /* inside, where x0 is on the surface, and not along a face */
         middle[c] = p->x0[c] + 0.05 * p->centre[c] / p->volume + 1e-3 * p->r * (0.8 * p->m[c] + 0.6 * way[c]);
     length = sfemi_damage_patch_front(d, middle, front);
-    return length > 0 ? size / length : 0;
+    return length > 0 ? fmax(size, inwards) / length : 0;
 }
 
 /* On which side of the crack's plane is the node? m from it. */
@@ -20126,10 +20154,34 @@ static sfem_real sfemi_damage_carried(const sfemi_damage *d, sfem_int k)
     return sum;
 }
 
-/* An edge that is not broken hangs if no tet around it is whole, so that only a mechanism of single edges holds it, and
+/* Does tet e hold, with its neighbours across faces? None of its edges is broken, and it goes with HOLDS - 1 others of
+ * this kind, or with all that there are. */
+static int sfemi_damage_holds(const sfemi_damage *d, sfem_int e)
+{
+    const sfemi_bonds *g = d->bonds;
+    sfem_int group[SFEMI_DAMAGE_HOLDS];
+    sfem_real zeta[6];
+    int count = 1, head, a, i, edge_of = 0;
+    if (sfemi_damage_zetas(d, e, zeta) != 63) return 0;
+    for (group[0] = e, head = 0; head < count; ++head)
+        for (a = 0; a < 4; ++a) {
+            const sfem_int next = g->beside[4 * (size_t)group[head] + (size_t)a];
+            for (i = 0; i < count && group[i] != next; ++i) {}
+            if (next < 0 || i < count) continue;
+            if (sfemi_damage_zetas(d, next, zeta) != 63) {
+                edge_of = 1;
+                continue;
+            }
+            if (count + 1 == SFEMI_DAMAGE_HOLDS) return 1;
+            group[count++] = next;
+        }
+    return !edge_of;
+}
+
+/* An edge that is not broken hangs if no tet around it holds, so that only a mechanism of single edges and tets does, and
  *   in each of these tets it is the only link between its nodes, or the tet does not hang together; or
- *   it carries next to nothing.
- * Breaking it damages no further tet: cracks do not grow by it. */
+ *   it carries little.
+ * Breaking it damages hardly any further tet: cracks do not grow by it. */
 static int sfemi_damage_is_dangling(const sfemi_damage *d, sfem_int k)
 {
     const sfemi_bonds *g = d->bonds;
@@ -20138,11 +20190,11 @@ static int sfemi_damage_is_dangling(const sfemi_damage *d, sfem_int k)
     int link = 1;
     for (at = g->tet_start[k]; at < g->tet_start[k + 1]; ++at) {
         const sfem_int e = g->edge_tet[at] / 6;
-        const unsigned mask = sfemi_damage_zetas(d, e, zeta);
-        if (mask == 63) return 0;
-        link &= d->kind[e] == SFEMI_DISCONNECTED || sfemi_damage_links[mask] >> g->edge_tet[at] % 6 & 1;
+        if (sfemi_damage_holds(d, e)) return 0;
+        link &= d->kind[e] == SFEMI_DISCONNECTED ||
+                sfemi_damage_links[sfemi_damage_zetas(d, e, zeta)] >> g->edge_tet[at] % 6 & 1;
     }
-    return link || sfemi_damage_carried(d, k) < SFEMI_DAMAGE_LEAST * sfemi_damage_limit(d, k);
+    return link || sfemi_damage_carried(d, k) < SFEMI_DAMAGE_SLACK * sfemi_damage_limit(d, k);
 }
 
 /* Breaks edges that hang. Breaking one may leave another. d->dangling: there may be some, for something broke or one had
@@ -20160,8 +20212,7 @@ static void sfemi_damage_sweep_dangling(sfemi_damage *d, const sfemi_damage_step
             if (sfemi_damage_zetas(d, e, zeta) == 63) continue;
             for (k = 0; k < 6; ++k) {
                 const sfem_int edge = g->tet_edge[6 * e + k];
-                if (g->never[edge] || !(d->zeta[edge] > 0) || g->edge_tet[g->tet_start[edge]] / 6 != e)
-                    continue; /* each edge once, at its first tet */
+                if (g->never[edge] || !(d->zeta[edge] > 0)) continue;
                 if (!sfemi_damage_is_dangling(d, edge)) continue;
                 did |= sfemi_damage_try(d, edge, 0, SFEM_BROKE_DANGLING, step, change);
             }
