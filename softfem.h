@@ -18306,7 +18306,7 @@ enum { SFEMI_NEVER = 1, SFEMI_BLADE_ONLY = 2 };
 #define SFEMI_DAMAGE_LEAST  0.18 /* below that no edge breaks: the stress has not reached it yet */
 #define SFEMI_DAMAGE_SLACK  0.5  /* below that an edge breaks that no tet holds */
 #define SFEMI_DAMAGE_HOLDS  4    /* tets that go together: fewer hold nothing */
-#define SFEMI_DAMAGE_MOST   1.5  /* at a crack, edges across its plane break at this whatever G is */
+#define SFEMI_DAMAGE_MOST   0.8  /* at a crack, edges across its plane break at this whatever G is */
 #define SFEMI_DAMAGE_ASTRAY 3.0  /* and others at this; where there is no crack, edges break at 1 */
 
 typedef struct sfemi_bonds {
