@@ -18350,6 +18350,7 @@ typedef struct sfemi_damage {
     unsigned char *mark;     /* [edges] a blade has crossed it: 1 + rounds waited */
     /* derived */
     unsigned char *held;     /* [edges] 1: of a tet with a node that a handle holds, if these are protected */
+    unsigned char *gripped;  /* [nodes] 1: a handle holds it */
     sfem_int tets, *tet;     /* [tets] the damaged ones, ascending */
     unsigned char *kind;     /* [model tets] SFEMI_INTACT .. */
     sfem_real *s;            /* [model tets][6][6] S_d of damaged tets */
@@ -18813,6 +18814,7 @@ static sfem_status sfemi_damage_create(const sfemi_bonds *bonds,
     SFEMI_TAKE(sfem_int, d->tet, &d->pool, tets);
     SFEMI_TAKE(unsigned char, d->kind, &d->pool, tets);
     SFEMI_TAKE(unsigned char, d->held, &d->pool, edges);
+    SFEMI_TAKE(unsigned char, d->gripped, &d->pool, nodes);
     SFEMI_TAKE(sfem_real, d->s, &d->pool, 36 * tets);
     if (model->rotates) {
         SFEMI_TAKE(sfemi_block, d->block, &d->pool, model->chunks.block_start[model->chunks.count]);
@@ -19424,6 +19426,7 @@ typedef struct sfemi_damage_step {
     const sfem_real *u0, *u1; /* [nodes][3] start and end; may be the same */
     sfem_real a0, a1, ac;
     sfem_real *f0, *f1;       /* [nodes][3] internal forces there, brought up to date; or NULL */
+    const unsigned char *pinned; /* [nodes] > 0: pinned; NULL: none */
     const sfem_exec *exec;
 } sfemi_damage_step;
 
@@ -19453,6 +19456,7 @@ typedef struct sfemi_damage_round_job {
  *    the broken edges, weighted by distance from x0; through x0 where none is broken.
  * 4. G = |J - m m.J| / B, B the integral of q along the line through x0 across m and J. Fronts that face one another
  *    across a ligament push against one another: there, if it is more, the sum of what points at x0 instead of |J|.
+ * 5. Where a node within CORE r is pinned or held by a handle, G is not known: 0.
  *
  * Measured on a clamped strip, 12 cells high and one thick, whose G is known, at all edges that a crack met: G is 0.96
  * to 1.02 of it with cells of five and of six tets and body-centred ones; with r = 2.5 edges, without a core, 0.6 to 0.8.
@@ -19706,8 +19710,12 @@ static sfem_real sfemi_damage_release_rate(sfemi_damage *d, sfem_int k, const sf
 {
     sfem_real stress[9], w[3], v[9], way[3], front[3], middle[3], size, inwards, length;
     sfem_int i;
-    int c;
+    int c, blind = 0;
     sfemi_damage_gather_patch(d, k, p);
+    for (i = 0; i < d->patch_nodes; ++i) { /* forces from outside: J is not that of a crack */
+        const sfem_int node = d->patch[i];
+        blind |= d->near_by[node] >= 1 && (d->gripped[node] || (step->pinned && step->pinned[node]));
+    }
     sfemi_damage_patch_frame(d, step, p);
     for (i = 0; i < d->patch_tets; ++i) sfemi_damage_patch_add(d, d->patch_tet[i], step, p);
     memcpy(stress, p->stress, sizeof stress);
@@ -19722,7 +19730,7 @@ static sfem_real sfemi_damage_release_rate(sfemi_damage *d, sfem_int k, const sf
     for (c = 0; c < 3; ++c) /* inside, where x0 is on the surface, and not along a face */
         middle[c] = p->x0[c] + 0.05 * p->centre[c] / p->volume + 1e-3 * p->r * (0.8 * p->m[c] + 0.6 * way[c]);
     length = sfemi_damage_patch_front(d, middle, front);
-    return length > 0 ? fmax(size, inwards) / length : 0;
+    return length > 0 && !blind ? fmax(size, inwards) / length : 0;
 }
 
 /* On which side of the crack's plane is the node? m from it. */
@@ -20272,17 +20280,20 @@ static sfem_int sfemi_damage_choose(sfemi_damage *d, sfem_int k, const sfemi_dam
     sfem_int i, at, best = -1;
     for (i = 0; i < d->patch_nodes; ++i) {
         const sfem_int node = d->patch[i];
-        if (d->near_by[node] < 1) continue;
-        d->most[node] = -1; /* not looked at again in this round */
-        for (at = g->node_start[node]; at < g->node_start[node + 1]; ++at) {
-            const sfem_int edge = g->node_edge[at];
-            const int crosses = sfemi_damage_side(d, &p, g->end[2 * edge]) * sfemi_damage_side(d, &p, g->end[2 * edge + 1]) < 0;
+        for (at = g->node_start[node]; d->near_by[node] >= 1 && at < g->node_start[node + 1]; ++at) {
+            const sfem_int edge = g->node_edge[at], *end = g->end + 2 * (size_t)edge;
+            const int crosses = sfemi_damage_side(d, &p, end[0]) * sfemi_damage_side(d, &p, end[1]) < 0;
             const sfem_real most = !crack ? 1 : crosses ? SFEMI_DAMAGE_MOST : SFEMI_DAMAGE_ASTRAY;
-            if (!(d->zeta[edge] > 0) || d->ratio[edge] < SFEMI_DAMAGE_LEAST || (best >= 0 && (d->ratio[edge] < d->ratio[best] ||
-                (d->ratio[edge] == d->ratio[best] && edge >= best)))) continue;
+            if (!(d->zeta[edge] > 0) || d->ratio[edge] < SFEMI_DAMAGE_LEAST || d->most[end[0]] < 0 ||
+                d->most[end[1]] < 0)
+                continue;
+            if (best >= 0 && (d->ratio[edge] < d->ratio[best] || (d->ratio[edge] == d->ratio[best] && edge >= best)))
+                continue;
             if (d->ratio[edge] >= most || (crosses && rate >= g->def.toughness * g->factor[edge])) best = edge;
         }
     }
+    for (i = 0; i < d->patch_nodes; ++i) /* not looked at again in this round */
+        if (d->near_by[d->patch[i]] >= 1) d->most[d->patch[i]] = -1;
     sfemi_damage_leave_patch(d);
     return best;
 }
@@ -26916,11 +26927,13 @@ static void sfemi_fracture_protect(sfem_body *b)
     sfem_int i, at, l, p;
     int k;
     memset(b->damage->held, 0, (size_t)g->edges);
-    for (i = 0; g->def.protect_handles && i < b->def.max_handles; ++i) {
+    memset(b->damage->gripped, 0, (size_t)b->model->mesh.nodes);
+    for (i = 0; i < b->def.max_handles; ++i) {
         const sfemi_region r = sfemi_region_of(&b->state, i);
         for (p = 0; b->state.handle[i].used && p < r.count; ++p) {
             if (r.weight[p] == 0) continue;
-            for (at = g->node_start[r.node[p]]; at < g->node_start[r.node[p] + 1]; ++at) {
+            b->damage->gripped[r.node[p]] = 1;
+            for (at = g->node_start[r.node[p]]; g->def.protect_handles && at < g->node_start[r.node[p] + 1]; ++at) {
                 const sfem_int edge = g->node_edge[at];
                 for (l = g->tet_start[edge]; l < g->tet_start[edge + 1]; ++l)
                     for (k = 0; k < 6; ++k) b->damage->held[g->tet_edge[6 * (g->edge_tet[l] / 6) + k]] = 1;
@@ -26964,6 +26977,7 @@ static void sfemi_fracture_round(sfem_body *b)
     step.ac = g->rejected ? 0 : 0.25;
     step.f0 = g->rejected ? NULL : b->state.f;
     step.f1 = g->f;
+    step.pinned = b->mask;
     step.exec = &b->exec;
     sfemi_damage_round(b->damage, &step, &change);
     if (!change.broken && !change.softened) return;

@@ -1431,6 +1431,7 @@ static void a_round_accounts_for_the_energy_that_it_changes_under_every_law(void
             sfem_int n, i, broken = 0;
             make_mesh(4, 2, 2, .1, SFEM_CELL_6_TETS, .1, 7, &mesh);
             def.toughness = 5;
+            def.share = 2 / 3.0;
             def.closure = closure;
             make_scene(&mesh, laws[l], 1e6, &def, &s);
             u0 = reals(s.n), u1 = reals(s.n);
