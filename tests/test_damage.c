@@ -1263,6 +1263,7 @@ static void pull_apart(sfem_int n, double jitter, double notch, sfem_damage_crit
     make_mesh(2 * n, n, n, size, SFEM_CELL_5_TETS, jitter, 5, &mesh);
     def.criterion = criterion;
     def.toughness = 100;
+    def.share = 2 / 3.0;
     def.strength = 1e5;
     make_scene(&mesh, SFEM_LINEAR, 1e6, &def, &s);
     for (e = 0; e < s.bonds->edges; ++e) {
@@ -1343,6 +1344,31 @@ static void a_crack_costs_the_same_on_every_mesh_by_energy_and_less_by_strength(
     for (n = 1; n < 3; ++n) {
         assert_near(out[0][n][BOOKED], out[0][0][BOOKED], .1, 0);
         assert_true(out[1][n][RELEASED] < .85 * out[1][n - 1][RELEASED]);
+    }
+}
+
+static void dual_areas_times_lengths_are_three_volumes(void **state)
+{
+    int kind;
+    (void)state;
+    for (kind = 0; kind < 2; ++kind) {
+        sfem_damage_def def = sfem_default_damage_def();
+        double sum = 0, volume = 0;
+        sfem_mesh mesh;
+        sfem_int k;
+        scene s;
+        make_mesh(4, 3, 3, .1, kind, .25, 6, &mesh);
+        make_scene(&mesh, SFEM_LINEAR, 1e6, &def, &s);
+        for (k = 0; k < s.bonds->edges; ++k) { /* the lengths from the nodes, not from the graph */
+            const double *a = mesh.x + 3 * s.bonds->end[2 * k], *b = mesh.x + 3 * s.bonds->end[2 * k + 1];
+            sum += s.bonds->area[k] * sqrt(pow(a[0] - b[0], 2) + pow(a[1] - b[1], 2) + pow(a[2] - b[2], 2));
+        }
+        for (k = 0; k < mesh.tets; ++k) {
+            const sfem_int *t = mesh.tet + 4 * k;
+            volume += sfemi_volume6(mesh.x + 3 * t[0], mesh.x + 3 * t[1], mesh.x + 3 * t[2], mesh.x + 3 * t[3]) / 6;
+        }
+        assert_near(sum, 3 * volume, 1e-12, 0);
+        free_scene(&s);
     }
 }
 
@@ -2231,6 +2257,7 @@ int main(void)
         cmocka_unit_test(zsz_explodes_with_the_old_factor_and_condensed_does_not),
         cmocka_unit_test(closing_cracks_need_twice_the_p),
         cmocka_unit_test(a_crack_costs_the_same_on_every_mesh_by_energy_and_less_by_strength),
+        cmocka_unit_test(dual_areas_times_lengths_are_three_volumes),
         cmocka_unit_test(dual_areas_scatter_by_orientation),
         cmocka_unit_test(a_round_accounts_for_the_energy_that_it_changes_under_every_law),
         cmocka_unit_test(edges_are_judged_by_the_mean_strain_of_a_step),
