@@ -20299,44 +20299,75 @@ static sfem_int sfemi_damage_sort_peaks(sfemi_damage *d)
     return count;
 }
 
-/* What breaks round the peak k, -1: nothing. */
-static sfem_int sfemi_damage_choose(sfemi_damage *d, sfem_int k, const sfemi_damage_step *step)
+enum { SFEMI_DAMAGE_TRIES = 8 }; /* edges that are tried round a peak until one breaks without making energy */
+
+/* Edges that may break round the peak k, the largest w_k/price first, then by number. Returns how many. */
+static int sfemi_damage_choose(sfemi_damage *d, sfem_int k, const sfemi_damage_step *step,
+                               sfem_int out[SFEMI_DAMAGE_TRIES])
 {
     const sfemi_bonds *g = d->bonds;
     sfemi_damage_patch p;
     const sfem_real rate = sfemi_damage_release_rate(d, k, step, &p);
-    const int crack = p.damage[3] > 0;
-    sfem_int i, at, best = -1;
+    sfem_int i, at;
+    int j, count = 0;
     for (i = 0; i < d->patch_nodes; ++i) {
         const sfem_int node = d->patch[i];
         for (at = g->node_start[node]; d->near_by[node] >= 1 && at < g->node_start[node + 1]; ++at) {
             const sfem_int edge = g->node_edge[at], *end = g->end + 2 * (size_t)edge;
-            const int crosses = sfemi_damage_side(d, &p, end[0]) * sfemi_damage_side(d, &p, end[1]) < 0;
-            const sfem_real most = !crack ? 1 : crosses ? SFEMI_DAMAGE_MOST : SFEMI_DAMAGE_ASTRAY;
-            if (!(d->zeta[edge] > 0) || d->ratio[edge] < SFEMI_DAMAGE_LEAST || d->most[end[0]] < 0 ||
-                d->most[end[1]] < 0)
+            const sfem_real ratio = d->ratio[edge];
+            const int across = sfemi_damage_side(d, &p, end[0]) * sfemi_damage_side(d, &p, end[1]) < 0;
+            const sfem_real most = !(p.damage[3] > 0) ? 1 : across ? SFEMI_DAMAGE_MOST : SFEMI_DAMAGE_ASTRAY;
+            if (!(d->zeta[edge] > 0) || ratio < SFEMI_DAMAGE_LEAST || d->most[end[0]] < 0 || d->most[end[1]] < 0)
                 continue;
-            if (best >= 0 && (d->ratio[edge] < d->ratio[best] || (d->ratio[edge] == d->ratio[best] && edge >= best)))
-                continue;
-            if (d->ratio[edge] >= most || (crosses && rate >= g->def.toughness * g->factor[edge])) best = edge;
+            if (ratio < most && !(across && rate >= g->def.toughness * g->factor[edge])) continue;
+            for (j = 0; j < count && out[j] != edge; ++j) {}
+            if (j < count) continue; /* met at its other end */
+            for (j = count; j > 0 && (d->ratio[out[j - 1]] < ratio ||
+                                      (d->ratio[out[j - 1]] == ratio && out[j - 1] > edge)); --j)
+                if (j < SFEMI_DAMAGE_TRIES) out[j] = out[j - 1];
+            if (j < SFEMI_DAMAGE_TRIES) out[j] = edge;
+            count += count < SFEMI_DAMAGE_TRIES;
         }
     }
     for (i = 0; i < d->patch_nodes; ++i) /* not looked at again in this round */
         if (d->near_by[d->patch[i]] >= 1) d->most[d->patch[i]] = -1;
     sfemi_damage_leave_patch(d);
-    return best;
+    return count;
 }
 
 /* Cracks advance by an edge wherever the energy release rate is the toughness. */
 static void sfemi_damage_advance(sfemi_damage *d, const sfemi_damage_step *step, sfemi_damage_change *change)
 {
     const sfem_int count = sfemi_damage_sort_peaks(d), *peak = d->queue;
-    sfem_int i, k;
+    sfem_int i, edge[SFEMI_DAMAGE_TRIES];
+    int j, tries;
     for (i = 0; i < count; ++i) {
         const sfem_int *end = d->bonds->end + 2 * (size_t)peak[i];
         if (d->most[end[0]] < 0 || d->most[end[1]] < 0) continue;
-        k = sfemi_damage_choose(d, peak[i], step);
-        if (k >= 0) sfemi_damage_try(d, k, 0, SFEM_BROKE_CRITERION, step, change);
+        tries = sfemi_damage_choose(d, peak[i], step, edge);
+        for (j = 0; j < tries && !sfemi_damage_try(d, edge[j], 0, SFEM_BROKE_CRITERION, step, change); ++j) {}
+    }
+}
+
+/* Edges break that are the largest over their limits round both of their nodes. One that would make energy makes way for
+ * its neighbours: broken ones stiffen their tets with SFEM_DAMAGE_ZSZ, and a crack would wait there for ever. */
+static void sfemi_damage_break_peaks(sfemi_damage *d, const sfemi_damage_step *step, sfemi_damage_change *change)
+{
+    const sfemi_bonds *g = d->bonds;
+    const sfem_int per = SFEMI_ROUND_TASK;
+    sfemi_damage_round_job job;
+    sfem_int k;
+    int pass, again = 1;
+    job.d = d;
+    job.step = step;
+    for (pass = 0; pass < 4 && again; ++pass) {
+        if (pass) sfemi_run(step->exec, (g->model->mesh.nodes + per - 1) / per, sfemi_damage_most_task, &job);
+        for (k = again = 0; k < g->edges; ++k) {
+            if (d->ratio[k] < 1 || !(d->zeta[k] > 0) || !sfemi_damage_is_peak(d, k)) continue;
+            if (sfemi_damage_try(d, k, 0, SFEM_BROKE_CRITERION, step, change)) continue;
+            d->ratio[k] = 0;
+            again = 1;
+        }
     }
 }
 
@@ -20373,9 +20404,7 @@ static void sfemi_damage_round(sfemi_damage *d, const sfemi_damage_step *step,
         sfemi_run(step->exec, edges, sfemi_damage_ratio_task, &job);
         sfemi_run(step->exec, (g->model->mesh.nodes + per - 1) / per, sfemi_damage_most_task, &job);
         if (g->by_rate) sfemi_damage_advance(d, step, change);
-        for (k = 0; !g->by_rate && k < g->edges; ++k)
-            if (d->ratio[k] >= 1 && sfemi_damage_is_peak(d, k))
-                sfemi_damage_try(d, k, 0, SFEM_BROKE_CRITERION, step, change);
+        else sfemi_damage_break_peaks(d, step, change);
     }
     for (k = 0; k < g->edges; ++k)
         if (d->mark[k] && d->zeta[k] > 0) sfemi_damage_try(d, k, 0, SFEM_BROKE_BLADE, step, change);
