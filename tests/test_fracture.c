@@ -164,9 +164,11 @@ static double dot(const double *a, const double *b, size_t n)
     return sum;
 }
 
+/* By single edges: many break, and at once. */
 static sfem_damage_def brittle(double toughness)
 {
     sfem_damage_def d = sfem_default_damage_def();
+    d.share = 2 / 3.0;
     d.toughness = toughness;
     return d;
 }
