@@ -18312,8 +18312,7 @@ enum { SFEMI_NEVER = 1, SFEMI_BLADE_ONLY = 2 };
 
 /* Limits of w_k/price besides. At the front of a crack that advances w_k/price is 0.2 to 2 (measured as above). */
 #define SFEMI_DAMAGE_LEAST  0.18 /* below that no edge breaks: the stress has not reached it yet */
-#define SFEMI_DAMAGE_SLACK  0.5  /* below that an edge breaks that no tet holds, */
-#define SFEMI_DAMAGE_LOOSE  0.05 /* with other criteria, whose cracks have no G to decide, below this */
+#define SFEMI_DAMAGE_SLACK  0.5  /* below that an edge breaks that no tet holds */
 #define SFEMI_DAMAGE_HOLDS  4    /* tets that go together: fewer hold nothing */
 #define SFEMI_DAMAGE_MOST   0.8  /* at a crack, edges across its plane break at this whatever G is */
 #define SFEMI_DAMAGE_ASTRAY 3.0  /* and others at this; where there is no crack, edges break at 1 */
@@ -20240,8 +20239,7 @@ static int sfemi_damage_is_dangling(const sfemi_damage *d, sfem_int k)
         link &= d->kind[e] == SFEMI_DISCONNECTED ||
                 sfemi_damage_links[sfemi_damage_zetas(d, e, zeta)] >> g->edge_tet[at] % 6 & 1;
     }
-    return link || sfemi_damage_carried(d, k) < (g->by_rate ? SFEMI_DAMAGE_SLACK : SFEMI_DAMAGE_LOOSE) *
-                                                    sfemi_damage_limit(d, k);
+    return link || sfemi_damage_carried(d, k) < SFEMI_DAMAGE_SLACK * sfemi_damage_limit(d, k);
 }
 
 /* Breaks edges that hang. Breaking one may leave another. d->dangling: there may be some, for something broke or one had
