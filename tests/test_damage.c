@@ -1341,9 +1341,7 @@ static void a_crack_costs_the_same_on_every_mesh_by_energy_and_less_by_strength(
                       out[c][2][RELEASED] / 100, out[c][0][RELAXED] / 100, out[c][1][RELAXED] / 100,
                       out[c][2][RELAXED] / 100);
     }
-    for (n = 1; n < 3; ++n) {
-        assert_near(out[0][n][BOOKED], out[0][0][BOOKED], .1, 0);
-    }
+    for (n = 1; n < 3; ++n) assert_near(out[0][n][BOOKED], out[0][0][BOOKED], .1, 0);
     assert_true(out[1][2][RELEASED] < .85 * out[1][0][RELEASED]);
 }
 
