@@ -19,6 +19,7 @@
 
 #include "reference.h"
 #include "../tests/linear.h"
+#include "../tests/strip.h"
 
 #define PI 3.14159265358979323846
 
@@ -910,6 +911,7 @@ static double pulled_apart(int n, sfem_damage_criterion criterion, int *pieces)
     damage.tet_factor = tougher;
     damage.criterion = criterion;
     damage.toughness = 100;
+    damage.share = 2 / 3.0;
     damage.strength = 1e5;
     def.damage = &damage;
     def.pins = pins;
@@ -1012,6 +1014,29 @@ static void fracture(void)
     printf("    (2^2 cells: %.3f)\n", booked[0]);
     printf("    (by strength %.3f %.3f %.3f: the source's choice, not independent of the mesh)\n",
            strength[0], strength[1], strength[2]);
+}
+
+/* A strip's G is exact; within a tenth of Griffith's load, which is a fifth of G. */
+static void griffith(void)
+{
+    static const int cells[3] = {4, 6, 8};
+    int kind, k;
+    title("fracture: displacement of a clamped strip at its largest force, over Griffith's");
+    for (kind = 0; kind < STRIP_KINDS; ++kind)
+        for (k = 0; k < 3; ++k) {
+            strip s = strip_default(kind, cells[k]);
+            strip_result r;
+            strip_pull(&s, &r);
+            row(1, r.peak, 0.1, "%s, %d over the height, one thick", strip_name[kind], cells[k]);
+            row(2, r.halves, 0, "    pieces of a tenth of its nodes or more (%d of one node besides)", r.crumbs);
+        }
+    for (kind = 0; kind < 2; ++kind) {
+        strip s = strip_default(kind, 6);
+        strip_result r;
+        s.damage.share = 2 / 3.0;
+        strip_pull(&s, &r);
+        printf("    (%s, 6 over the height, share = 2/3, which judges single edges: %.3f)\n", strip_name[kind], r.peak);
+    }
 }
 
 /* ---- CalculiX ---- */
@@ -1141,6 +1166,7 @@ int main(int argc, char **argv)
     identities();
     warping();
     fracture();
+    griffith();
     tets(!ex_given(&o, "--no-ccx"));
     if (!ex_given(&o, "--no-ccx")) calculix();
     real_meshes(ex_text(&o, "--references"));

@@ -1,0 +1,364 @@
+/* strip.h - a clamped strip with a crack, whose energy release rate is known; shared by tests and benches.
+ *
+ *      top, moved up                 length 3 m, height 1 m, a thickness of some cells
+ *     =====================          crack of 0.9 m at half height, by a blade
+ *     <--------   W            z
+ *     =====================    |__x  G = W H: W J/m^3 of the strip ahead of the crack, H its height [Rivlin, Thomas 1953]
+ *      bottom, moved down
+ *
+ *     strip_mesh(kind, n, thick, seed, &mesh, &err)   n cells over the height
+ *     strip_pull(&strip, &result)                     until it parts, or up to a part of Griffith's displacement
+ */
+#ifndef SFEM_TESTS_STRIP_H
+#define SFEM_TESTS_STRIP_H
+
+#include "bodies.h"
+
+enum { STRIP_5_TETS, STRIP_6_TETS, STRIP_CENTRED, STRIP_DELAUNAY, STRIP_KINDS };
+
+static const char *const strip_name[STRIP_KINDS] = {"5-tet cells", "6-tet cells", "body-centred cells", "Delaunay"};
+
+#define STRIP_LENGTH 3.0
+#define STRIP_CRACK  0.9001
+
+/* Cells whose centres are nodes, too: four tets round each line between neighbouring centres, two to a face outside. */
+BODY_STATIC sfem_status strip_centred(int nx, int ny, int nz, sfem_mesh *out, sfem_error *err)
+{
+    const int n[3] = {nx, ny, nz}, corners = (nx + 1) * (ny + 1) * (nz + 1);
+    double *x = (double *)body_new(3 * (size_t)(corners + nx * ny * nz), sizeof *x);
+    sfem_int *tet = (sfem_int *)body_new(4 * 24 * (size_t)(nx * ny * nz), sizeof *tet);
+    sfem_int tets = 0, nodes = 0;
+    sfem_status status;
+    int centre, axis, i, j, k, s;
+    for (centre = 0; centre < 2; ++centre)
+        for (i = 0; i <= nx - centre; ++i)
+            for (j = 0; j <= ny - centre; ++j)
+                for (k = 0; k <= nz - centre; ++k, ++nodes) {
+                    x[3 * nodes] = (i + 0.5 * centre) / nz;
+                    x[3 * nodes + 1] = (j + 0.5 * centre) / nz;
+                    x[3 * nodes + 2] = (k + 0.5 * centre) / nz;
+                }
+    for (axis = 0; axis < 3; ++axis)
+        for (i = 0; i <= nx; ++i)
+            for (j = 0; j <= ny; ++j)
+                for (k = 0; k <= nz; ++k) {
+                    static const int corner[4][2] = {{0, 0}, {1, 0}, {1, 1}, {0, 1}};
+                    const int at[3] = {i, j, k}, b = (axis + 1) % 3, c = (axis + 2) % 3, turn = (i + j + k) % 2;
+                    sfem_int face[4], side[2] = {-1, -1};
+                    if (at[b] == n[b] || at[c] == n[c]) continue;
+                    for (s = 0; s < 4; ++s) {
+                        int to[3] = {i, j, k};
+                        to[b] += corner[s][0];
+                        to[c] += corner[s][1];
+                        face[s] = (to[0] * (ny + 1) + to[1]) * (nz + 1) + to[2];
+                    }
+                    for (s = 0; s < 2; ++s) {
+                        int to[3] = {i, j, k};
+                        to[axis] -= 1 - s;
+                        if (to[axis] >= 0 && to[axis] < n[axis])
+                            side[s] = corners + (to[0] * ny + to[1]) * nz + to[2];
+                    }
+                    for (s = 0; s < 4; ++s) {
+                        sfem_int *t = tet + 4 * tets;
+                        if (side[0] < 0 || side[1] < 0) {
+                            if (s > 1) break;
+                            t[0] = side[0] < 0 ? side[1] : side[0];
+                            t[1] = face[turn];
+                            t[2] = face[(turn + 1 + s) % 4];
+                            t[3] = face[(turn + 2 + s) % 4];
+                        } else {
+                            t[0] = side[0], t[1] = side[1], t[2] = face[s], t[3] = face[(s + 1) % 4];
+                        }
+                        ++tets;
+                    }
+                }
+    for (i = 0; i < tets; ++i)
+        if (body_quality(x, tet + 4 * i) < 0) {
+            const sfem_int first = tet[4 * i];
+            tet[4 * i] = tet[4 * i + 1];
+            tet[4 * i + 1] = first;
+        }
+    status = sfem_mesh_copy(nodes, x, tets, tet, NULL, out, err);
+    free(x);
+    free(tet);
+    return status;
+}
+
+/* The Delaunay tets of a grid whose points are moved by up to a third of a cell, inside and along the surface. */
+BODY_STATIC sfem_status strip_delaunay(int nx, int ny, int nz, uint64_t seed, sfem_mesh *out, sfem_error *err)
+{
+    const int n[3] = {nx, ny, nz};
+    const double step = 12000.0 * nz / nx; /* of the whole numbers in a cell's height times nz */
+    body_points p;
+    body_random r;
+    double *x;
+    sfem_int *tet;
+    sfem_int tets = 0;
+    sfem_status status;
+    int *found, count, i, j, k, c;
+    memset(&p, 0, sizeof p);
+    r.state = seed;
+    p.grid = (int64_t(*)[3])body_new((size_t)((nx + 1) * (ny + 1) * (nz + 1)), sizeof *p.grid);
+    for (i = 0; i <= nx; ++i)
+        for (j = 0; j <= ny; ++j)
+            for (k = 0; k <= nz; ++k, ++p.n) {
+                const int at[3] = {i, j, k};
+                for (c = 0; c < 3; ++c) {
+                    const double by = body_uniform(&r, -0.33, 0.33) * (at[c] > 0 && at[c] < n[c]);
+                    p.grid[p.n][c] = (int64_t)floor((at[c] + by - 0.5 * n[c]) / nz * step + 0.5);
+                }
+            }
+    count = body_connect(&p, &found);
+    x = (double *)body_new(3 * (size_t)p.n, sizeof *x);
+    tet = (sfem_int *)body_new(4 * (size_t)count, sizeof *tet);
+    for (i = 0; i < 3 * p.n; ++i) {
+        x[i] = (double)p.grid[i / 3][i % 3] / step + 0.5 * n[i % 3] / nz;
+        if (p.grid[i / 3][i % 3] == (int64_t)floor(0.5 * n[i % 3] / nz * step + 0.5)) x[i] = (double)n[i % 3] / nz;
+        if (p.grid[i / 3][i % 3] == (int64_t)floor(-0.5 * n[i % 3] / nz * step + 0.5)) x[i] = 0;
+    }
+    for (i = 0; i < count; ++i) {
+        for (c = 0; c < 4; ++c) tet[4 * tets + c] = found[4 * i + c];
+        tets += body_quality(x, tet + 4 * tets) > 1e-3; /* flat ones lie in the surface */
+    }
+    status = sfem_mesh_copy(p.n, x, tets, tet, NULL, out, err);
+    free(p.grid);
+    free(found);
+    free(x);
+    free(tet);
+    return status;
+}
+
+BODY_STATIC sfem_status strip_mesh(int kind, int n, int thick, uint64_t seed, sfem_mesh *out, sfem_error *err)
+{
+    const sfem_int cells[3] = {3 * n, thick, n};
+    const double size[3] = {STRIP_LENGTH, (double)thick / n, 1};
+    if (kind == STRIP_CENTRED) return strip_centred(3 * n, thick, n, out, err);
+    if (kind == STRIP_DELAUNAY) return strip_delaunay(3 * n, thick, n, seed, out, err);
+    return sfem_mesh_block(cells, size, kind == STRIP_5_TETS ? SFEM_CELL_5_TETS : SFEM_CELL_6_TETS, NULL, out, err);
+}
+
+typedef struct strip {
+    int kind, n, thick;
+    uint64_t seed;
+    sfem_law law;
+    double poisson;
+    double per_cell;        /* time steps in which a wave of speed sqrt(E/rho) crosses a cell: 2 */
+    double until;           /* of Griffith's displacement, at the end */
+    sfem_damage_def damage; /* toughness is set to 1 J/m^2; strengths are strains over Griffith's mean one */
+} strip;
+
+typedef struct strip_result {
+    double griffith;        /* displacement of top and bottom, m */
+    double first, peak;     /* displacement over it at the first break and at the largest force */
+    double parted;          /* where top and bottom are no longer one piece, 0: never */
+    int pieces, crumbs;     /* at the end; those of one node */
+    int halves;             /* those of a tenth of the nodes or more */
+    double error;           /* of the energies */
+} strip_result;
+
+BODY_STATIC void strip_must(sfem_status status, const sfem_error *err)
+{
+    if (status == SFEM_OK) return;
+    fprintf(stderr, "strip.h: %s\n", err->text);
+    exit(2);
+}
+
+/* 10^6 Pa, 1000 kg/m^3: waves of some 32 m/s; the lowest swing is damped well. */
+BODY_STATIC sfem_model *strip_model(const strip *s, const sfem_mesh *mesh)
+{
+    sfem_model_def def = sfem_default_model_def();
+    sfem_model *model = NULL;
+    sfem_error err;
+    def.mesh = mesh;
+    def.material.law = s->law;
+    def.material.young = 1e6;
+    def.material.poisson = s->poisson;
+    def.material.density = 1000;
+    def.material.mass_damping = 60;
+    strip_must(sfem_model_create(&def, &model, &err), &err);
+    return model;
+}
+
+/* -1 at the bottom, 1 at the top */
+BODY_STATIC int strip_end(const sfem_mesh *mesh, sfem_int node)
+{
+    const double z = mesh->x[3 * (size_t)node + 2];
+    return z < 1e-9 ? -1 : z > 1 - 1e-9 ? 1 : 0;
+}
+
+BODY_STATIC void strip_move(sfem_body *body, const sfem_mesh *mesh, double way)
+{
+    sfem_error err;
+    sfem_int i;
+    for (i = 0; i < mesh->nodes; ++i) {
+        double to[3];
+        if (!strip_end(mesh, i)) continue;
+        memcpy(to, mesh->x + 3 * (size_t)i, sizeof to);
+        to[2] += way * strip_end(mesh, i);
+        strip_must(sfem_body_move_pin(body, i, to, &err), &err);
+    }
+}
+
+/* Where W H = 1 J/m^2, by the stresses of the whole strip at rest, in the middle of its length. */
+BODY_STATIC double strip_griffith(const strip *s, const sfem_mesh *mesh, const sfem_body_def *held)
+{
+    const double way = 1e-4, nu = s->poisson;
+    strip soft = *s;
+    sfem_model *model;
+    sfem_body *body;
+    double *stress = (double *)body_new(6 * (size_t)mesh->tets, sizeof *stress), energy = 0, volume = 0;
+    sfem_error err;
+    sfem_int e;
+    int k;
+    soft.law = SFEM_LINEAR;
+    model = strip_model(&soft, mesh);
+    strip_must(sfem_body_create(model, held, &body, &err), &err);
+    strip_move(body, mesh, way);
+    strip_must(sfem_body_solve_static(body, &err), &err);
+    sfem_model_stress(model, sfem_body_displacement(body), stress, NULL);
+    for (e = 0; e < mesh->tets; ++e) {
+        const sfem_int *t = mesh->tet + 4 * (size_t)e;
+        const double *p = stress + 6 * (size_t)e, *x[4];
+        double d[9], v, square = 0, middle = 0;
+        for (k = 0; k < 4; ++k) {
+            x[k] = mesh->x + 3 * (size_t)t[k];
+            middle += x[k][0] / 4;
+        }
+        if (fabs(middle - 1.6) > 0.3) continue;
+        for (k = 0; k < 9; ++k) d[k] = x[k / 3 + 1][k % 3] - x[0][k % 3];
+        v = (d[0] * (d[4] * d[8] - d[5] * d[7]) - d[1] * (d[3] * d[8] - d[5] * d[6]) +
+             d[2] * (d[3] * d[7] - d[4] * d[6])) / 6;
+        for (k = 0; k < 6; ++k) square += (k < 3 ? 1 : 2) * p[k] * p[k];
+        energy += v * ((1 + nu) * square - nu * (p[0] + p[1] + p[2]) * (p[0] + p[1] + p[2])) / 2e6;
+        volume += v;
+    }
+    sfem_body_free(body);
+    sfem_model_free(model);
+    free(stress);
+    return way / sqrt(energy / volume);
+}
+
+/* How many tenths of a body its pieces are. */
+BODY_STATIC void strip_count(sfem_body *body, sfem_int nodes, strip_result *r)
+{
+    const int count = (int)sfem_body_fracture(body).pieces;
+    sfem_piece *piece = (sfem_piece *)body_new((size_t)count, sizeof *piece);
+    int i;
+    sfem_body_pieces(body, piece);
+    for (i = r->halves = r->crumbs = 0; i < count; ++i) {
+        r->halves += piece[i].nodes >= nodes / 10;
+        r->crumbs += piece[i].nodes == 1;
+    }
+    r->pieces = count;
+    free(piece);
+}
+
+/* Is the top in another piece than the bottom? */
+BODY_STATIC int strip_parted(sfem_body *body, const sfem_mesh *mesh)
+{
+    const sfem_int *of = sfem_body_piece_of(body);
+    sfem_int i, end[2] = {-1, -1};
+    for (i = 0; i < mesh->nodes; ++i)
+        if (strip_end(mesh, i)) end[strip_end(mesh, i) > 0] = of[i];
+    return end[0] != end[1];
+}
+
+/* The force at the top, N. */
+BODY_STATIC double strip_force(sfem_body *body, const sfem_mesh *mesh, double *reactions)
+{
+    double sum = 0;
+    sfem_int i;
+    memset(reactions, 0, 3 * (size_t)mesh->nodes * sizeof *reactions);
+    sfem_body_reactions(body, reactions);
+    for (i = 0; i < mesh->nodes; ++i)
+        if (strip_end(mesh, i) > 0) sum += reactions[3 * i + 2];
+    return sum;
+}
+
+/* The cracked strip, held; tets at the clamps do not break, so that grips do not decide. */
+BODY_STATIC sfem_body *strip_body(strip *s, const sfem_mesh *mesh, sfem_model *model, const sfem_body_def *held,
+                                  double griffith)
+{
+    const double height = s->kind == STRIP_CENTRED   ? 0.5 + 0.25 / s->n
+                          : s->kind == STRIP_DELAUNAY ? 0.5
+                                                      : 0.5 + 0.5 / s->n * (s->n % 2 == 0);
+    double from[9] = {STRIP_CRACK, -9, 0, STRIP_CRACK, 9, 0, -9, 0, 0}, to[9];
+    unsigned char *grip = (unsigned char *)body_new((size_t)mesh->tets, 1);
+    sfem_body_def def = *held;
+    sfem_damage_def damage = s->damage;
+    sfem_body *body = NULL;
+    sfem_error err;
+    sfem_int k;
+    for (k = 0; k < 4 * mesh->tets; ++k) grip[k / 4] |= strip_end(mesh, mesh->tet[k]) != 0;
+    damage.unbreakable = grip;
+    damage.toughness = 1;
+    damage.strength *= 2 * griffith * (damage.criterion == SFEM_BREAK_STRESS ? 1e6 : 1);
+    damage.soften[0] *= 2 * griffith;
+    damage.soften[1] *= 2 * griffith;
+    def.damage = &damage;
+    strip_must(sfem_body_create(model, &def, &body, &err), &err);
+    memcpy(to, from, sizeof to);
+    for (k = 2; k < 9; k += 3) from[k] = height - 1e-5, to[k] = height + 1e-5;
+    strip_must(sfem_body_cut(body, from, to, NULL, &err), &err);
+    free(grip);
+    return body;
+}
+
+/* At the speed at which Griffith's displacement takes 0.6 s, 19 crossings of the height by a wave. */
+BODY_STATIC void strip_pull(strip *s, strip_result *r)
+{
+    sfem_body_def held = sfem_default_body_def();
+    const double h = 1 / (s->n * s->per_cell * sqrt(1000.0));
+    double *reactions, most = 0;
+    sfem_int *pins, i;
+    sfem_model *model;
+    sfem_body *body;
+    sfem_mesh mesh;
+    sfem_error err;
+    int k, cut = 0;
+    memset(r, 0, sizeof *r);
+    strip_must(strip_mesh(s->kind, s->n, s->thick, s->seed, &mesh, &err), &err);
+    reactions = (double *)body_new(3 * (size_t)mesh.nodes, sizeof *reactions);
+    held.pins = pins = (sfem_int *)body_new((size_t)mesh.nodes, sizeof *pins);
+    for (i = 0; i < mesh.nodes; ++i)
+        if (strip_end(&mesh, i)) pins[held.pin_count++] = i;
+    r->griffith = strip_griffith(s, &mesh, &held);
+    model = strip_model(s, &mesh);
+    body = strip_body(s, &mesh, model, &held, r->griffith);
+    for (k = 1; r->parted == 0 && h * k / 0.6 < s->until; ++k) {
+        const double way = h * k / 0.6;
+        double force;
+        strip_move(body, &mesh, way * r->griffith);
+        strip_must(sfem_body_step(body, h, &err), &err);
+        force = strip_force(body, &mesh, reactions);
+        if (k == 4) cut = (int)sfem_body_fracture(body).broken;
+        if (k > 4 && r->first == 0 && sfem_body_fracture(body).broken > cut) r->first = way;
+        if (force > most) most = force, r->peak = way;
+        if (strip_parted(body, &mesh)) r->parted = way;
+    }
+    r->error = fabs(sfem_body_fracture(body).error) / sfem_body_fracture(body).scale;
+    strip_count(body, mesh.nodes, r);
+    sfem_body_free(body);
+    sfem_model_free(model);
+    sfem_mesh_free(&mesh);
+    free(pins);
+    free(reactions);
+}
+
+BODY_STATIC strip strip_default(int kind, int n)
+{
+    strip s;
+    memset(&s, 0, sizeof s);
+    s.kind = kind;
+    s.n = n;
+    s.thick = 1;
+    s.seed = 1;
+    s.law = SFEM_LINEAR;
+    s.poisson = 0.3;
+    s.per_cell = 2;
+    s.until = 1.6;
+    s.damage = sfem_default_damage_def();
+    return s;
+}
+
+#endif
