@@ -757,9 +757,10 @@ typedef struct sfem_mesher_info {
  *           SFEM_BAD_MESH       a vertex number out of range (the text tells the triangle), no triangle with an area, a
  *                               surface that encloses nothing at this size: an open sheet, or parts thinner than a cell
  *           SFEM_NOT_FINITE     a coordinate, err->node
- *           SFEM_TOO_LARGE      a lattice of more than 2^28 points
+ *           SFEM_TOO_LARGE      a lattice of more than 2^28 points; by number of tets, of more than 262144 + 4000 tets
  *           SFEM_OUT_OF_MEMORY
- *   cost    O(triangles log triangles) and O(log triangles) a lattice point
+ *   cost    O(triangles log triangles) and O(log triangles) a lattice point; by number of tets, all lattices that are
+ *           tried have 262144 + 4000 tets points together at most: where that is reached, the nearest number is taken
  *   memory  400 bytes a triangle, 14 a lattice point of the surface's box, 400 a tet; all but the mesh is given back */
 SFEM_DEF sfem_status sfem_mesh_from_surface(const sfem_mesher_def *def, const sfem_surface *surface, sfem_mesh *out,
                                             sfem_mesher_info *info, sfem_error *err);
@@ -10612,7 +10613,7 @@ typedef struct sfemi_lattice {
     const sfem_allocator *a;
     sfem_error *err;
     int cage;
-    sfem_real h, origin[3];
+    sfem_real h, origin[3], limit; /* limit: of points */
     sfem_int n[3], step[3], points; /* corners along each axis; difference of numbers along each; points in all */
     signed char *sign;              /* [points] 1 inside, -1 outside, 0 moved onto the surface */
     sfem_int *first, *snap;         /* [points] first own cut; cut to which it moved, or -1 */
@@ -10686,12 +10687,12 @@ static sfem_status sfemi_lattice_lay(sfemi_lattice *l, sfem_real h, sfem_real ph
         n[c] = ceil((s->box[1][c] - s->box[0][c]) / h) + 4;
         points *= n[c];
     }
-    if (!(points <= 268435456.0))
+    if (!(points <= l->limit))
         return sfemi_fail(
             err, SFEM_TOO_LARGE,
-            "edges of %.3g in a box of %.3g x %.3g x %.3g make a lattice of %.2g points, more than 2^28: take "
-            "longer ones, or is there a stray vertex?",
-            h, s->box[1][0] - s->box[0][0], s->box[1][1] - s->box[0][1], s->box[1][2] - s->box[0][2], points);
+            "edges of %.3g in a box of %.3g x %.3g x %.3g make a lattice of %.3g points, more than %.3g: take "
+            "longer edges or more tets, or is there a stray vertex?",
+            h, s->box[1][0] - s->box[0][0], s->box[1][1] - s->box[0][1], s->box[1][2] - s->box[0][2], points, l->limit);
     l->h = h;
     l->points = (sfem_int)(points + 0.5);
     for (c = 0; c < 3; ++c) {
@@ -11067,13 +11068,12 @@ static int sfemi_cage_meets(sfem_real tri[3][3], sfem_real tet[4][3])
 }
 
 /* Marks the tets that a triangle meets, among those whose boxes it meets; all in cells, from the lattice's origin. */
-static void sfemi_cage_triangle(sfemi_lattice *l, const sfem_real *corner)
+static void sfemi_cage_mark(sfemi_lattice *l, sfem_real tri[3][3])
 {
-    sfem_real tri[3][3], tet[4][3], low[3], high[3];
+    sfem_real tet[4][3], low[3], high[3];
     sfem_int i[3], from[3], to[3], v[4];
     int axis, c, k, m;
     for (c = 0; c < 3; ++c) {
-        for (k = 0; k < 3; ++k) tri[k][c] = (corner[3 * k + c] - l->origin[c]) / l->h;
         low[c] = fmin(tri[0][c], fmin(tri[1][c], tri[2][c])) - 1e-9;
         high[c] = fmax(tri[0][c], fmax(tri[1][c], tri[2][c])) + 1e-9;
     }
@@ -11099,6 +11099,41 @@ static void sfemi_cage_triangle(sfemi_lattice *l, const sfem_real *corner)
                         if (sfemi_cage_meets(tri, tet)) *mark = 1;
                     }
                 }
+    }
+}
+
+/* The same in parts of two cells at most, of which the boxes hold few tets: a long triangle is halved at its longest
+ * edge. The depth is below 2 log2 of its length in cells. */
+static void sfemi_cage_triangle(sfemi_lattice *l, sfem_real tri[3][3])
+{
+    sfem_real half[3][3], d[3], longest = 4, length;
+    int k, at = -1;
+    for (k = 0; k < 3; ++k) {
+        sfemi_sub3(tri[(k + 1) % 3], tri[k], d);
+        length = sfemi_dot3(d, d);
+        if (length > longest) longest = length, at = k;
+    }
+    if (at < 0) {
+        sfemi_cage_mark(l, tri);
+        return;
+    }
+    for (k = 0; k < 2; ++k) { /* the middle in place of one end, then of the other */
+        memcpy(half, tri, sizeof half);
+        sfemi_solid_between(tri[at], tri[(at + 1) % 3], 0.5, half[(at + k) % 3]);
+        sfemi_cage_triangle(l, half);
+    }
+}
+
+/* Marks the tets that triangles of the surface meet. */
+static void sfemi_cage_surface(sfemi_lattice *l)
+{
+    const sfemi_bvh *tree = &l->solid->tree;
+    sfem_real tri[3][3];
+    size_t k;
+    int c;
+    for (k = 0; k < 3 * (size_t)tree->triangles; ++k) {
+        for (c = 0; c < 3; ++c) tri[k % 3][c] = (tree->corner[3 * k + (size_t)c] - l->origin[c]) / l->h;
+        if (k % 3 == 2) sfemi_cage_triangle(l, tri);
     }
 }
 
@@ -11579,13 +11614,15 @@ static void sfemi_cage_share_task(void *data, sfem_int task)
     }
 }
 
-/* One lattice and its mesh, for edges of length h; it is moved by a part of that, the phase, along all axes. */
-static sfem_status sfemi_mesher_pass(const sfemi_solid *s, const sfem_mesher_def *def, sfem_real h, sfem_real phase,
-                                     sfem_mesh *out, sfem_mesher_info *info, sfem_error *err)
+#define SFEMI_MESHER_POINTS 268435456.0 /* of a lattice at most, 2^28 */
+
+/* One lattice of at most so many points and its mesh, for edges of length at[0]; it is moved by a part of that, the
+ * phase at[1], along all axes. */
+static sfem_status sfemi_mesher_pass(const sfemi_solid *s, const sfem_mesher_def *def, const sfem_real at[2],
+                                     sfem_real limit, sfem_mesh *out, sfem_mesher_info *info, sfem_error *err)
 {
     sfem_status status;
     sfemi_lattice l;
-    sfem_int t;
     memset(&l, 0, sizeof l);
     l.solid = s;
     l.exec = s->f ? NULL : &def->exec;
@@ -11593,12 +11630,13 @@ static sfem_status sfemi_mesher_pass(const sfemi_solid *s, const sfem_mesher_def
     l.err = err;
     l.cage = def->mode == SFEM_CAGE;
     info->repaired = info->split = 0;
-    info->size = h;
+    info->size = at[0];
+    l.limit = limit;
     ++info->passes;
     l.def = def; /* it takes 3 to 5 lattices until the number of tets is right */
     l.part[0] = def->size > 0 ? 0 : 1 - pow(0.6, (sfem_real)(info->passes - 1));
     l.part[1] = def->size > 0 ? 0.95 : 1 - pow(0.6, (sfem_real)info->passes);
-    SFEMI_TRY(sfemi_lattice_lay(&l, h, phase));
+    SFEMI_TRY(sfemi_lattice_lay(&l, at[0], at[1]));
     info->lattice = l.points;
     sfemi_lattice_run(&l, (l.points + SFEMI_LATTICE_TASK - 1) / SFEMI_LATTICE_TASK, sfemi_lattice_sign_task, 0, 0.4);
     if (l.not_finite) {
@@ -11607,7 +11645,7 @@ static sfem_status sfemi_mesher_pass(const sfemi_solid *s, const sfem_mesher_def
     }
     if (l.cage) {
         SFEMI_NEW(unsigned char, l.mark, l.a, 6 * (size_t)l.points);
-        for (t = 0; t < s->tree.triangles; ++t) sfemi_cage_triangle(&l, s->tree.corner + 9 * (size_t)t);
+        sfemi_cage_surface(&l);
         if (s->f) sfemi_lattice_each(&l, sfemi_cage_probe);
     } else {
         SFEMI_TRY(sfemi_lattice_cuts(&l));
@@ -11641,11 +11679,13 @@ static sfem_real sfemi_mesher_guess(const sfemi_solid *s, const sfem_mesher_def 
 
 /* Lattices until the number of tets is right, each from what the ones before had; the best is kept. Where the number
  * jumps, as layers of a plate do, lengths on both sides of the jump are tried, for it goes up and down there; then
- * lattices that are moved, whose layers are others. */
+ * lattices that are moved, whose layers are others. The number of points of all of them is limited, which bounds the
+ * time for needles and for thin bodies that lie across their boxes. */
 static sfem_status sfemi_mesher_search(const sfemi_solid *s, const sfem_mesher_def *def, sfem_mesh *out,
                                        sfem_mesher_info *info, sfem_error *err)
 {
     enum { PASSES = 40, MOVES = 24 };
+    sfem_real left = 262144 + 4000.0 * (sfem_real)def->tets; /* points that may still be laid */
     sfem_real h = log(sfemi_mesher_guess(s, def)), best = HUGE_VAL, off, jump = 0;
     sfem_real low = -1e3, high = 1e3; /* log h with too many, and too few */
     sfem_mesher_info one = *info;
@@ -11654,11 +11694,12 @@ static sfem_status sfemi_mesher_search(const sfemi_solid *s, const sfem_mesher_d
     int k, after = -1;
     memset(&mesh, 0, sizeof mesh);
     for (k = 0; k < PASSES + MOVES && best > (after < 0 ? 0.05 : 0.13); ++k) {
-        const sfem_real phase = k < PASSES ? 0 : k % 2 ? 0.25 : 0.5;
+        const sfem_real at[2] = {exp(h), k < PASSES ? 0 : k % 2 ? 0.25 : 0.5};
         if (k == PASSES && best > 0.4) break; /* a plate of one layer, which shorter edges alone can hold */
-        status = sfemi_mesher_pass(s, def, exp(h), phase, &mesh, &one, err);
-        info->passes = one.passes;
+        status = sfemi_mesher_pass(s, def, at, fmin(left, SFEMI_MESHER_POINTS), &mesh, &one, err);
         if (status != SFEM_OK) break;
+        info->passes = one.passes;
+        left -= one.lattice;
         off = mesh.tets ? log((sfem_real)mesh.tets / (sfem_real)def->tets) : -3;
         if (!mesh.tets && one.lattice / 200 > def->tets + 1000) break; /* there is nothing inside */
         if (after < 0 && off > 0) low = fmax(low, h);
@@ -11679,18 +11720,19 @@ static sfem_status sfemi_mesher_search(const sfemi_solid *s, const sfem_mesher_d
     }
     sfem_mesh_free(&mesh);
     if (!out->tets) info->size = one.size; /* for the message */
-    return out->tets && status == SFEM_TOO_LARGE ? SFEM_OK : status;
+    return info->passes && status == SFEM_TOO_LARGE ? SFEM_OK : status;
 }
 
 static sfem_status sfemi_mesher_make(const sfemi_solid *s, const sfem_mesher_def *def, sfem_mesh *out,
                                      sfem_mesher_info *info, sfem_error *err)
 {
+    const sfem_real at[2] = {def->size, 0};
     sfem_status status;
     sfem_mesh mesh;
     memset(&mesh, 0, sizeof mesh);
     SFEMI_TRY(sfemi_mesher_box(s, err));
     if (def->size > 0)
-        SFEMI_TRY(sfemi_mesher_pass(s, def, def->size, 0, &mesh, info, err));
+        SFEMI_TRY(sfemi_mesher_pass(s, def, at, SFEMI_MESHER_POINTS, &mesh, info, err));
     else
         SFEMI_TRY(sfemi_mesher_search(s, def, &mesh, info, err));
     if (def->progress) def->progress(1, def->progress_user);

@@ -453,6 +453,43 @@ static void a_plate_of_few_layers_has_the_number_of_tets_too(void **state)
         }
 }
 
+/* Two triangles 1000 times as long as wide. Along an axis nothing is inside until the edges are short, then 200 times
+ * the tets wanted are: searching that jump to its end would take 40 lattices. Askew, and along the diagonal of their
+ * box, nothing is found within the points that a search for so few tets may take. */
+static void needles_are_meshed_in_bounded_work(void **state)
+{
+    static const struct {
+        sfem_real end[3];
+        sfem_status status;
+        const char *words;
+    } needle[3] = {{{1000, 0, 0}, SFEM_OK, ""},
+                   {{1000, 5, 0.5}, SFEM_BAD_MESH, "shorter size"},
+                   {{1000, 1000, 1000}, SFEM_TOO_LARGE, "more tets"}};
+    static const sfem_int tri[6] = {0, 2, 1, 0, 1, 3};
+    sfem_surface s = new_surface(4, 2);
+    int k;
+    (void)state;
+    s.x[7] = s.x[11] = 1;
+    memcpy(s.tri, tri, sizeof tri);
+    for (k = 0; k < 3; ++k) {
+        sfem_mesher_def def = sfem_default_mesher_def();
+        sfem_mesher_info info;
+        sfem_error err;
+        sfem_mesh m;
+        memcpy(s.x + 3, needle[k].end, sizeof needle[k].end);
+        def.tets = 60;
+        assert_status(sfem_mesh_from_surface(&def, &s, &m, &info, &err), needle[k].status);
+        if (needle[k].status != SFEM_OK) {
+            assert_names(err, needle[k].words);
+            continue;
+        }
+        assert_sound(&m, 10.7, 164.8);
+        assert_true(info.passes * (double)info.lattice < 1.2 * (262144 + 4000 * 60));
+        sfem_mesh_free(&m);
+    }
+    drop_surface(&s);
+}
+
 static void flipped_and_missing_triangles_change_little(void **state)
 {
     int body, how, mode;
@@ -687,7 +724,7 @@ static void hostile_surfaces_get_sentences(void **state)
                             {SFEM_BAD_MESH, "open sheet"},      {SFEM_BAD_MESH, "open sheet"},  {SFEM_BAD_MESH, "an area"},
                             {SFEM_TOO_LARGE, "stray vertex"},   {SFEM_BAD_ARGUMENT, "unit"},    {SFEM_BAD_ARGUMENT, "tets is 0"},
                             {SFEM_BAD_ARGUMENT, "size is"},     {SFEM_BAD_ARGUMENT, "mode"},    {SFEM_BAD_MESH, "negative"},
-                            {SFEM_TOO_LARGE, "2^28"}};
+                            {SFEM_TOO_LARGE, "2.68e+08"}};
             sfem_surface s = boxes(1, corner);
             sfem_real *const x = s.x;
             sfem_mesher_def def = sfem_default_mesher_def();
@@ -985,6 +1022,7 @@ int main(void)
         cmocka_unit_test(angles_stay_in_their_bounds_for_random_cuts),
         cmocka_unit_test(the_number_of_tets_is_what_was_asked_for),
         cmocka_unit_test(a_plate_of_few_layers_has_the_number_of_tets_too),
+        cmocka_unit_test(needles_are_meshed_in_bounded_work),
         cmocka_unit_test(flipped_and_missing_triangles_change_little),
         cmocka_unit_test(doubled_triangles_give_the_same_bits),
         cmocka_unit_test(parts_that_overlap_touch_or_are_hollow_have_the_right_volume),
