@@ -713,8 +713,10 @@ SFEM_DEF sfem_status sfem_mesh_write_obj(const char *path, const sfem_mesh *mesh
  *              sake of the angles. Parts thinner than a cell may get lost; edges and corners are cut off within one
  *              cell.
  * SFEM_CAGE    every tet of the lattice that meets the body: the cage contains the whole surface, thin parts too. Its
- *              tets are filled in part. mesh->region of each is its filled share in SFEM_CAGE_LEVELS parts, by as many
- *              points in it, from 0 to SFEM_CAGE_LEVELS: the index into what sfem_cage_materials makes.
+ *              tets are filled in part. mesh->region of each is its filled share in SFEM_CAGE_LEVELS parts, from 0 to
+ *              SFEM_CAGE_LEVELS: the index into what sfem_cage_materials makes. It is measured along 32 chords of the
+ *              tet, and what rounding takes from one tet is given to the next: their sum is the body's volume, also of
+ *              thin plates.
  *
  * Every edge of the mesh's surface is in two triangles. Where parts would meet in a node only, it is duplicated. Where
  * they would meet in an edge only, tets at it are left out (fitted) or added (cage). */
@@ -772,8 +774,8 @@ SFEM_DEF sfem_status sfem_mesh_from_surface(const sfem_mesher_def *def, const sf
  *   errors  SFEM_BAD_ARGUMENT (size, tets, mode, box), SFEM_NOT_FINITE (a value of f), SFEM_BAD_MESH (nothing inside at
  *           this size), SFEM_TOO_LARGE, SFEM_OUT_OF_MEMORY
  *   cost    a value of f for each lattice point, 24 at most for each cut
- * A cage may miss parts that lie between the points at which f is asked: corners, centres and
- * SFEM_CAGE_LEVELS points of each tet of the lattice next to the body. */
+ * A cage may miss parts that lie between the points at which f is asked: corners, centres and 128 points of each
+ * tet of the lattice next to the body. */
 typedef sfem_real (*sfem_sdf)(const sfem_real x[3], void *user);
 SFEM_DEF sfem_status sfem_mesh_from_sdf(const sfem_mesher_def *def, sfem_sdf f, void *user, const sfem_real box[2][3],
                                         sfem_mesh *out, sfem_mesher_info *info, sfem_error *err);
@@ -10467,31 +10469,37 @@ static sfem_real sfemi_bvh_winding(const sfemi_bvh *tree, const sfem_real p[3])
     return sum / 12.566370614359172;
 }
 
-/* Where the segment a, a + d meets a triangle, from 0 to 1, or -1.                     [Moeller, Trumbore 1997] */
-static sfem_real sfemi_bvh_meet(const sfem_real *corner, const sfem_real a[3], const sfem_real d[3])
+/* A place at which a segment meets a triangle, from 0 to 1, and by what the winding number changes there. */
+typedef struct sfemi_hit {
+    sfem_real t, change;
+} sfemi_hit;
+
+/* Does the segment a, a + d meet a triangle?                                           [Moeller, Trumbore 1997] */
+static int sfemi_bvh_meet(const sfem_real *corner, const sfem_real a[3], const sfem_real d[3], sfemi_hit *hit)
 {
     const sfem_real slack = 1e-9; /* a segment through an edge meets one of the two triangles at least */
-    sfem_real e[3], f[3], p[3], q[3], s[3], det, u, v, t;
+    sfem_real e[3], f[3], p[3], q[3], s[3], det, u, v;
     sfemi_sub3(corner + 3, corner, e);
     sfemi_sub3(corner + 6, corner, f);
     sfemi_cross(d, f, p);
     det = sfemi_dot3(e, p);
-    if (!(fabs(det) > 0)) return -1;
+    if (!(fabs(det) > 0)) return 0;
     sfemi_sub3(a, corner, s);
     u = sfemi_dot3(s, p) / det;
-    if (!(u >= -slack && u <= 1 + slack)) return -1;
+    if (!(u >= -slack && u <= 1 + slack)) return 0;
     sfemi_cross(s, e, q);
     v = sfemi_dot3(d, q) / det;
-    if (!(v >= -slack && u + v <= 1 + slack)) return -1;
-    t = sfemi_dot3(f, q) / det;
-    return t >= 0 && t <= 1 ? t : -1;
+    if (!(v >= -slack && u + v <= 1 + slack)) return 0;
+    hit->t = sfemi_dot3(f, q) / det;
+    hit->change = det > 0 ? 1 : -1;
+    return hit->t >= 0 && hit->t <= 1;
 }
 
 enum { SFEMI_HITS = 16 };
 
-/* The places at which a segment meets triangles, ascending; returns how many, SFEMI_HITS + 1 if too many. */
+/* Where a segment meets triangles, ascending; returns how often, SFEMI_HITS + 1 if too often. */
 static int sfemi_bvh_hits(const sfemi_bvh *tree, const sfem_real a[3], const sfem_real b[3],
-                           sfem_real hit[SFEMI_HITS])
+                           sfemi_hit hit[SFEMI_HITS])
 {
     sfem_real low[3], high[3], d[3];
     sfem_int i = 0, t;
@@ -10504,11 +10512,11 @@ static int sfemi_bvh_hits(const sfemi_bvh *tree, const sfem_real a[3], const sfe
             if (v->box[0][c] > high[c] || v->box[1][c] < low[c]) break;
         i = c < 3 ? v->skip : i + 1;
         for (t = v->first; c == 3 && t < v->first + v->count; ++t) {
-            const sfem_real at = sfemi_bvh_meet(tree->corner + 9 * (size_t)t, a, d);
-            if (at < 0) continue;
+            sfemi_hit one;
+            if (!sfemi_bvh_meet(tree->corner + 9 * (size_t)t, a, d, &one)) continue;
             if (n == SFEMI_HITS) return n + 1;
-            for (k = n++; k > 0 && hit[k - 1] > at; --k) hit[k] = hit[k - 1];
-            hit[k] = at;
+            for (k = n++; k > 0 && hit[k - 1].t > one.t; --k) hit[k] = hit[k - 1];
+            hit[k] = one;
         }
     }
     return n;
@@ -10585,17 +10593,18 @@ static sfem_real sfemi_solid_zero(const sfemi_solid *s, const sfem_real a[3], co
 /* The cut of an edge: a place at which it meets a triangle and passes from inside to outside. */
 static sfem_real sfemi_solid_cut(const sfemi_solid *s, const sfem_real a[3], const sfem_real b[3], int inside)
 {
-    sfem_real hit[SFEMI_HITS], x[3];
+    sfemi_hit hit[SFEMI_HITS];
+    sfem_real x[3];
     int n, k;
     if (s->f) return sfemi_solid_zero(s, a, b);
     n = sfemi_bvh_hits(&s->tree, a, b, hit);
     if (n < 1 || n > SFEMI_HITS) return sfemi_solid_halve(s, a, b, inside); /* a hole */
     for (k = 0; k < n - 1; ++k) {
-        if (hit[k + 1] - hit[k] < 1e-9) continue;
-        sfemi_solid_between(a, b, 0.5 * (hit[k] + hit[k + 1]), x);
-        if ((sfemi_solid_value(s, x) > 0) != inside) return hit[k];
+        if (hit[k + 1].t - hit[k].t < 1e-9) continue;
+        sfemi_solid_between(a, b, 0.5 * (hit[k].t + hit[k + 1].t), x);
+        if ((sfemi_solid_value(s, x) > 0) != inside) return hit[k].t;
     }
-    return hit[n - 1];
+    return hit[n - 1].t;
 }
 
 /* ---- the lattice: signs, cuts, tets ---- */
@@ -11144,31 +11153,54 @@ static int sfemi_cage_inside(const sfemi_lattice *l, const sfem_int v[4])
     return n;
 }
 
-/* Points of a tet that are inside, of SFEM_CAGE_LEVELS, those from number `from` on of a sequence that fills the unit
- * cube evenly [Roberts 2018] and is folded into the tet [Rocchini, Cignoni 2000]. Where no triangle lies between a
- * point and the one before, and the winding number there was clear, which it is not in a hole, it is not asked
- * again. */
-static sfem_int sfemi_cage_share(const sfemi_solid *s, sfem_real p[4][3], size_t from)
+/* What of the chord from a to b lies inside, weighted by 3 t^2, for a winding number w at a; each triangle changes it
+ * by 1 or -1. Where that leaves w near 1/2, as in a hole, and of a function, the middles of four parts are asked. */
+static sfem_real sfemi_cage_chord(const sfemi_solid *s, const sfem_real a[3], const sfem_real b[3], sfem_real w)
 {
-    sfem_real x[3], last[3] = {0, 0, 0}, hit[SFEMI_HITS], value = 0;
-    sfem_int n = 0;
-    int k, c;
-    for (k = 0; k < SFEM_CAGE_LEVELS; ++k) {
-        const sfem_real i = (sfem_real)((from + (size_t)k) % 1000000) + 0.5;
-        sfem_real u = fmod(i * 0.8191725133961645, 1.0), v = fmod(i * 0.6710436067037893, 1.0);
-        sfem_real w = fmod(i * 0.5497004779019703, 1.0), old = w;
-        if (u + v > 1) u = 1 - u, v = 1 - v;
-        if (v + w > 1)
-            w = 1 - u - v, v = 1 - old;
-        else if (u + v + w > 1)
-            w = u + v + w - 1, u = 1 - v - old;
-        for (c = 0; c < 3; ++c) x[c] = (1 - u - v - w) * p[0][c] + u * p[1][c] + v * p[2][c] + w * p[3][c];
-        if (s->f || k == 0 || fabs(value) < 0.25 || sfemi_bvh_hits(&s->tree, last, x, hit))
-            value = sfemi_solid_value(s, x);
-        memcpy(last, x, sizeof x);
-        n += value > 0;
+    enum { PARTS = 4 };
+    sfemi_hit hit[SFEMI_HITS + 1];
+    sfem_real sum = 0, x[3], t = 0;
+    const int n = s->f ? SFEMI_HITS + 1 : sfemi_bvh_hits(&s->tree, a, b, hit);
+    int k;
+    for (k = 0; n <= SFEMI_HITS && fabs(fabs(w) - 0.5) > 0.25; ++k) {
+        const sfem_real end = k < n ? hit[k].t : 1;
+        if (fabs(w) > 0.5) sum += end * end * end - t * t * t;
+        if (k == n) return sum;
+        w += hit[k].change;
+        t = end;
     }
-    return n;
+    for (sum = 0, k = 0; k < PARTS; ++k) {
+        sfemi_solid_between(a, b, (k + 0.5) / PARTS, x);
+        if (sfemi_solid_value(s, x) > 0) sum += (3.0 * k * k + 3.0 * k + 1) / (PARTS * PARTS * PARTS);
+    }
+    return sum;
+}
+
+/* The share of a tet that is inside, from chords between a corner and points of the face opposite to it. Points on a
+ * chord at t stand for a volume that grows with t^2, so that the sum has the right mean for a body of any shape; and
+ * as the chords are cut at triangles exactly, a plate that is thin beside the tet is met by most of them. The points
+ * of the faces are those from number `from` on of a sequence that fills the unit square evenly [Roberts 2018], folded
+ * into the triangle. Chords begin beside the corner, which may lie in a triangle. */
+enum { SFEMI_CAGE_CHORDS = 8 }; /* of each corner */
+
+static sfem_real sfemi_cage_share(const sfemi_solid *s, sfem_real p[4][3], size_t from)
+{
+    sfem_real a[3], x[3], w = 0, sum = 0;
+    int corner, k, c;
+    for (corner = 0; corner < 4; ++corner) {
+        const sfem_real *q[3];
+        for (k = 0; k < 3; ++k) q[k] = p[sfemi_mesh_face[corner][k]];
+        for (c = 0; c < 3; ++c) a[c] = p[corner][c] + 1e-6 * (q[0][c] + 2 * q[1][c] + 3 * q[2][c] - 6 * p[corner][c]);
+        if (!s->f) w = sfemi_bvh_winding(&s->tree, a);
+        for (k = 0; k < SFEMI_CAGE_CHORDS; ++k) {
+            const sfem_real at = (sfem_real)((SFEMI_CAGE_CHORDS * (4 * from + (size_t)corner) + (size_t)k) % 1000000) + 0.5;
+            sfem_real u = fmod(at * 0.7548776662466927, 1.0), v = fmod(at * 0.5698402909980532, 1.0);
+            if (u + v > 1) u = 1 - u, v = 1 - v;
+            for (c = 0; c < 3; ++c) x[c] = (1 - u - v) * q[0][c] + u * q[1][c] + v * q[2][c];
+            sum += sfemi_cage_chord(s, a, x, w);
+        }
+    }
+    return sum / (4 * SFEMI_CAGE_CHORDS);
 }
 
 /* Of a function: do points of the tet lie inside, although its corners do not? Only asked next to the body. */
@@ -11597,6 +11629,7 @@ static sfem_status sfemi_mesher_box(const sfemi_solid *s, sfem_error *err)
 typedef struct sfemi_cage_shares {
     const sfemi_solid *solid;
     const sfem_mesh *mesh;
+    sfem_real *share; /* [tets] */
 } sfemi_cage_shares;
 
 static void sfemi_cage_share_task(void *data, sfem_int task)
@@ -11608,10 +11641,36 @@ static void sfemi_cage_share_task(void *data, sfem_int task)
     sfem_int t;
     int k;
     for (t = first; t < end; ++t) {
+        w->share[t] = 1;
         if (m->region[t] >= 0) continue;
         for (k = 0; k < 4; ++k) memcpy(p[k], m->x + 3 * (size_t)m->tet[4 * (size_t)t + (size_t)k], sizeof p[k]);
-        m->region[t] = sfemi_cage_share(w->solid, p, SFEM_CAGE_LEVELS * (size_t)t);
+        w->share[t] = sfemi_cage_share(w->solid, p, (size_t)t);
     }
+}
+
+/* The region of each tet: its share in levels. What rounding adds or takes is carried on to the next tet, so that the
+ * sum is right where all shares are below a level. sum: of the shares. */
+static sfem_status sfemi_cage_shares_set(const sfemi_solid *s, const sfem_mesher_def *def, sfem_mesh *m, sfem_real *sum,
+                                         sfem_error *err)
+{
+    sfem_status status = SFEM_OK;
+    sfem_real carry = 0.5;
+    sfemi_cage_shares w;
+    sfem_int t;
+    w.solid = s;
+    w.mesh = m;
+    SFEMI_NEW(sfem_real, w.share, &def->allocator, m->tets);
+    sfemi_run(s->f ? NULL : &def->exec, (m->tets + 63) / 64, sfemi_cage_share_task, &w);
+    for (*sum = 0, t = 0; t < m->tets; ++t) {
+        if (m->region[t] >= 0) continue;
+        *sum += w.share[t];
+        carry += w.share[t] * SFEM_CAGE_LEVELS;
+        m->region[t] = (sfem_int)fmin(floor(carry), SFEM_CAGE_LEVELS);
+        carry -= m->region[t];
+    }
+done:
+    sfemi_delete(&def->allocator, w.share);
+    return status;
 }
 
 #define SFEMI_MESHER_POINTS 268435456.0 /* of a lattice at most, 2^28 */
@@ -11727,6 +11786,7 @@ static sfem_status sfemi_mesher_make(const sfemi_solid *s, const sfem_mesher_def
                                      sfem_mesher_info *info, sfem_error *err)
 {
     const sfem_real at[2] = {def->size, 0};
+    sfem_real inside = 1;
     sfem_status status;
     sfem_mesh mesh;
     memset(&mesh, 0, sizeof mesh);
@@ -11736,18 +11796,13 @@ static sfem_status sfemi_mesher_make(const sfemi_solid *s, const sfem_mesher_def
     else
         SFEMI_TRY(sfemi_mesher_search(s, def, &mesh, info, err));
     if (def->progress) def->progress(1, def->progress_user);
-    if (mesh.region) {
-        sfemi_cage_shares w;
-        w.solid = s;
-        w.mesh = &mesh;
-        sfemi_run(s->f ? NULL : &def->exec, (mesh.tets + 63) / 64, sfemi_cage_share_task, &w);
-    }
+    if (mesh.region) SFEMI_TRY(sfemi_cage_shares_set(s, def, &mesh, &inside, err));
     sfemi_lattice_measure(&mesh, info);
-    if (!mesh.tets || !(info->volume > 0))
+    if (!mesh.tets || !(inside > 0))
         status =
             sfemi_fail(err, SFEM_BAD_MESH,
                        def->mode == SFEM_CAGE
-                           ? "no point of the lattice's tets is inside: an open sheet encloses nothing"
+                           ? "nothing is inside at edges of %.3g: an open sheet encloses nothing"
                            : "nothing is inside at edges of %.3g: an open sheet encloses nothing; parts thinner than a "
                              "cell need a shorter size, or SFEM_CAGE",
                        info->size);

@@ -414,7 +414,7 @@ static void the_number_of_tets_is_what_was_asked_for(void **state)
 
 /* ---- soups ---- */
 
-/* Of 5 percent of the triangles: 0 turns, 1 takes away. */
+/* Of 5 percent of the triangles: 0 reverses, 1 takes away, 2 both by turns. */
 static sfem_surface damaged(const sfem_surface *s, int how)
 {
     sfem_surface d = new_surface(s->nodes, s->triangles);
@@ -423,7 +423,7 @@ static sfem_surface damaged(const sfem_surface *s, int how)
     memcpy(d.x, s->x, 3 * (size_t)s->nodes * sizeof *d.x);
     for (t = 0; t < s->triangles; ++t) {
         const int hit = random_below(&random, 20) == 0;
-        if (hit && how == 1) continue;
+        if (hit && (how == 1 || (how == 2 && t % 2))) continue;
         memcpy(d.tri + 3 * n, s->tri + 3 * t, 3 * sizeof *d.tri);
         if (hit) d.tri[3 * n] = s->tri[3 * t + 1], d.tri[3 * n + 1] = s->tri[3 * t];
         ++n;
@@ -502,11 +502,12 @@ static void flipped_and_missing_triangles_change_little(void **state)
             sfem_mesher_info whole, info;
             sfem_mesh m = mesh_of(&s, (sfem_mesher_mode)mode, size, 0, &whole);
             sfem_mesh_free(&m);
-            for (how = 0; how < 2; ++how) {
+            for (how = 0; how < 3; ++how) {
                 sfem_surface d = damaged(&s, how);
                 m = mesh_of(&d, (sfem_mesher_mode)mode, size, 0, &info);
                 assert_near(info.volume, whole.volume, 0.01, 0);
-                assert_true(how ? info.open_edges > 500 : info.flipped > 300);
+                assert_true(how == 0 || info.open_edges > 500);
+                assert_true(how == 1 || info.flipped > 150);
                 if (mode == SFEM_FITTED) assert_true(hausdorff(&s, &m) < size);
                 sfem_mesh_free(&m);
                 drop_surface(&d);
@@ -590,13 +591,17 @@ static void bodies_that_meet_in_an_edge_or_corner_are_separated(void **state)
 static void a_cage_contains_the_surface_and_its_thin_parts(void **state)
 {
     static const double corner[2][2][3] = {{{0, 0, 0}, {1, 1, 0.02}}, {{0.5, 0.5, 0.01}, {0.52, 0.51, 1}}};
+    static const sfem_real ends[3] = {4, 5, 6}; /* of a box that is made into a needle of 60 cells across the lattice */
     int body, k;
     (void)state;
-    for (body = 0; body < 2; ++body) {
-        sfem_surface s = body ? tube(1, 100, 16, 0.2) : boxes(2, corner);
+    for (body = 0; body < 3; ++body) {
+        sfem_surface s = body == 1 ? tube(1, 100, 16, 0.2) : boxes(body ? 1 : 2, corner);
+        const double volume = body == 1 ? enclosed(&s, s.x) : 0.02 + 0.98 * 0.0002;
         sfem_mesher_info info;
-        sfem_mesh m = mesh_of(&s, SFEM_CAGE, body ? 0.15 : 0.1, 0, &info); /* the plate is a fifth of a cell thick */
         test_random random = {5};
+        sfem_mesh m;
+        for (k = 0; k < 12 && body == 2; ++k) s.x[3 * (k / 3) + 12 + k % 3] += ends[k % 3] - (k % 3 == 2 ? 0.02 : 0);
+        m = mesh_of(&s, SFEM_CAGE, body == 1 ? 0.15 : 0.1, 0, &info); /* the plate is a fifth of a cell thick */
         for (k = 0; k < 1500; ++k) {
             const sfem_int *v = s.tri + 3 * random_below(&random, s.triangles);
             const double a = random_uniform(&random, 0, 1), b = random_uniform(&random, 0, 1 - a);
@@ -607,10 +612,39 @@ static void a_cage_contains_the_surface_and_its_thin_parts(void **state)
         }
         for (k = 0; k < s.nodes; ++k) assert_true(sfem_mesh_locate(&m, NULL, s.x + 3 * k, NULL, NULL));
         assert_near(share_volume(&m), info.volume, 1e-12, 0);
-        assert_near(info.volume, body ? enclosed(&s, s.x) : 0.02 + 0.98 * 0.0002, body ? 0.02 : 0.15, 0);
+        assert_near(info.volume, body == 2 ? enclosed(&s, s.x) : volume, body ? 0.005 : 0.03, 0);
         sfem_mesh_free(&m);
         drop_surface(&s);
     }
+}
+
+/* Plates of 0.02 to 0.1, flush and askew, in 80 to 1000 tets of edges between a fifth and ten times as long: chords of
+ * tets give 1.3 % at worst, as many single points gave 10 %. */
+static void a_cage_of_a_thin_plate_has_its_volume(void **state)
+{
+    static const double thickness[3] = {0.02, 0.05, 0.1};
+    static const sfem_int wanted[3] = {100, 288, 1000};
+    int i, j, askew, k;
+    (void)state;
+    for (i = 0; i < 3; ++i)
+        for (j = 0; j < 3; ++j)
+            for (askew = 0; askew < 2; ++askew) {
+                const double low[3] = {0, 0, 0}, high[3] = {1, 1, thickness[i]};
+                sfem_surface s;
+                sfem_mesher_info info;
+                sfem_mesh m;
+                memset(&s, 0, sizeof s);
+                add_box(&s, low, high);
+                for (k = 0; k < s.nodes && askew; ++k) {
+                    const double x = s.x[3 * k], z = s.x[3 * k + 2];
+                    s.x[3 * k] = 0.8 * x - 0.6 * z;
+                    s.x[3 * k + 2] = 0.6 * x + 0.8 * z;
+                }
+                m = mesh_of(&s, SFEM_CAGE, 0, wanted[j], &info);
+                assert_near(share_volume(&m), thickness[i], 0.02, 0);
+                sfem_mesh_free(&m);
+                drop_surface(&s);
+            }
 }
 
 static void a_cage_has_the_mass_of_what_it_holds(void **state)
@@ -1028,6 +1062,7 @@ int main(void)
         cmocka_unit_test(parts_that_overlap_touch_or_are_hollow_have_the_right_volume),
         cmocka_unit_test(bodies_that_meet_in_an_edge_or_corner_are_separated),
         cmocka_unit_test(a_cage_contains_the_surface_and_its_thin_parts),
+        cmocka_unit_test(a_cage_of_a_thin_plate_has_its_volume),
         cmocka_unit_test(a_cage_has_the_mass_of_what_it_holds),
         cmocka_unit_test(functions_are_meshed),
         cmocka_unit_test(hostile_surfaces_get_sentences),
