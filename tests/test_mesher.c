@@ -365,7 +365,7 @@ static void angles_stay_in_their_bounds_for_random_cuts(void **state)
         sfem_int p, i;
         memset(&solid, 0, sizeof solid), memset(&l, 0, sizeof l), memset(&info, 0, sizeof info);
         for (c = 0; c < 3; ++c) solid.box[1][c] = 12;
-        l.solid = &solid, l.a = &a, l.err = &err;
+        l.solid = &solid, l.a = &a, l.err = &err, l.limit = 1e6;
         assert_ok(sfemi_lattice_lay(&l, 1, 0), err);
         for (p = 0; p < l.points; ++p) {
             sfem_int at[3];
@@ -741,6 +741,81 @@ static void functions_are_meshed(void **state)
         }
 }
 
+/* ---- graded ---- */
+
+/* The edges of a body get longer inside, and nothing else changes: the surface has the same triangles, the volume is the
+ * same, tets meet face to face. Cages have the tets of the inside only, whose angles are 45, 60, 90 and 120 degrees. */
+static void graded_meshes_are_coarse_inside_and_the_same_at_the_surface(void **state)
+{
+    static const double cube[1][2][3] = {{{0, 0, 0}, {1, 1, 1}}};
+    int body, mode, grading;
+    (void)state;
+    for (body = 0; body < 3; ++body)
+        for (mode = 0; mode < 2; ++mode) {
+            const double size = body == 0 ? 1 / (TEST_SANITIZED ? 20.0 : 37.3) : body == 1 ? 0.1 : 0.07;
+            sfem_surface s = body == 0 ? boxes(1, cube) : tube(0, 100, 30, body == 1 ? 0.6 : 0.3), own[2];
+            sfem_mesher_info info[2];
+            sfem_int tets = 0, t;
+            for (grading = 0; grading < 5; grading += 4) {
+                const int at = grading > 0;
+                sfem_mesher_def def = sfem_default_mesher_def();
+                double largest = 0;
+                sfem_error err;
+                sfem_mesh m;
+                def.mode = (sfem_mesher_mode)mode;
+                def.size = size;
+                def.grading = grading;
+                assert_ok(sfem_mesh_from_surface(&def, &s, &m, info + at, &err), err);
+                assert_sound(&m, mode == SFEM_FITTED ? 10.7 : 44.999, mode == SFEM_FITTED ? 164.8 : 120.001);
+                assert_ok(sfem_mesh_surface(&m, NULL, own + at, &err), err);
+                for (t = 0; t < m.tets; ++t) {
+                    const sfem_int *v = m.tet + 4 * t;
+                    largest = fmax(largest, sfemi_volume6(m.x + 3 * v[0], m.x + 3 * v[1], m.x + 3 * v[2], m.x + 3 * v[3]));
+                }
+                largest *= 2 / (size * size * size); /* beside a tet of the lattice: a level gives 8 times as much */
+                if (!at) {
+                    tets = m.tets;
+                    assert_true(largest < 2);
+                } else {
+                    if (body == 0 && !TEST_SANITIZED) assert_true(largest > 100);
+                    if (body == 1) assert_true(largest > 7.9);
+                    assert_true(m.tets < (body == 0 ? 0.6 : body == 1 ? 0.85 : 1) * tets);
+                }
+                sfem_mesh_free(&m);
+            }
+            assert_near(info[1].volume, info[0].volume, mode == SFEM_FITTED ? 1e-10 : 1e-3, 0); /* sums of 600 000 */
+            assert_int_equal(own[1].triangles, own[0].triangles);
+            sfem_surface_free(own);
+            sfem_surface_free(own + 1);
+            drop_surface(&s);
+        }
+}
+
+static void graded_meshes_have_the_number_of_tets_too(void **state)
+{
+    static const double corner[1][2][3] = {{{0, 0, 0}, {1, 0.8, 0.6}}};
+    static const sfem_int wanted[3] = {2000, 9000, 30000};
+    int body, mode, k;
+    (void)state;
+    for (body = 0; body < 3; ++body) {
+        sfem_surface s = body < 2 ? tube(body, 120, 24, 0.3 + 0.3 * body) : boxes(1, corner);
+        for (mode = 0; mode < 2; ++mode)
+            for (k = 0; k < (TEST_SANITIZED ? 1 : 3); ++k) {
+                sfem_mesher_def def = sfem_default_mesher_def();
+                sfem_error err;
+                sfem_mesh m;
+                def.mode = (sfem_mesher_mode)mode;
+                def.grading = 3;
+                def.tets = wanted[k];
+                assert_ok(sfem_mesh_from_surface(&def, &s, &m, NULL, &err), err);
+                assert_near(m.tets, wanted[k], 0.15, 0);
+                assert_sound(&m, mode == SFEM_FITTED ? 10.7 : 44.999, mode == SFEM_FITTED ? 164.8 : 120.001);
+                sfem_mesh_free(&m);
+            }
+        drop_surface(&s);
+    }
+}
+
 /* ---- hostile input ---- */
 
 static void hostile_surfaces_get_sentences(void **state)
@@ -749,16 +824,16 @@ static void hostile_surfaces_get_sentences(void **state)
     int k, mode;
     (void)state;
     for (mode = 0; mode < 2; ++mode)
-        for (k = 0; k < 16; ++k) {
+        for (k = 0; k < 17; ++k) {
             static const struct {
                 sfem_status status;
                 const char *words;
-            } wanted[16] = {{SFEM_NOT_FINITE, "vertex 5"},      {SFEM_NOT_FINITE, "vertex 7"}, {SFEM_BAD_MESH, "triangle 3"},
+            } wanted[17] = {{SFEM_NOT_FINITE, "vertex 5"},      {SFEM_NOT_FINITE, "vertex 7"}, {SFEM_BAD_MESH, "triangle 3"},
                             {SFEM_BAD_MESH, "triangle 11"},     {SFEM_BAD_MESH, "no triangles"}, {SFEM_BAD_ARGUMENT, "set x"},
                             {SFEM_BAD_MESH, "open sheet"},      {SFEM_BAD_MESH, "open sheet"},  {SFEM_BAD_MESH, "an area"},
                             {SFEM_TOO_LARGE, "stray vertex"},   {SFEM_BAD_ARGUMENT, "unit"},    {SFEM_BAD_ARGUMENT, "tets is 0"},
                             {SFEM_BAD_ARGUMENT, "size is"},     {SFEM_BAD_ARGUMENT, "mode"},    {SFEM_BAD_MESH, "negative"},
-                            {SFEM_TOO_LARGE, "2.68e+08"}};
+                            {SFEM_TOO_LARGE, "2.68e+08"},   {SFEM_BAD_ARGUMENT, "grading"}};
             sfem_surface s = boxes(1, corner);
             sfem_real *const x = s.x;
             sfem_mesher_def def = sfem_default_mesher_def();
@@ -786,6 +861,7 @@ static void hostile_surfaces_get_sentences(void **state)
             if (k == 13) def.mode = (sfem_mesher_mode)2;
             if (k == 14) s.nodes = -1;
             if (k == 15) def.size = 1e-4;
+            if (k == 16) def.grading = 11;
             assert_status(sfem_mesh_from_surface(&def, &s, &m, NULL, &err), wanted[k].status);
             assert_names(err, wanted[k].words);
             assert_memory_equal(&m, &before, sizeof m);
@@ -818,6 +894,7 @@ static sfem_status attempt(sfem_allocator allocator, void *user, sfem_error *err
     memset(&m, 0, sizeof m);
     def.allocator = allocator;
     def.size = TEST_SANITIZED ? 1 : 0.4;
+    def.grading = 1;
     status = sfem_mesh_from_surface(&def, s, &m, NULL, err);
     if (status == SFEM_OK) sfem_mesh_free(&m);
     def.mode = SFEM_CAGE;
@@ -859,14 +936,15 @@ static void any_number_of_threads_gives_the_same_bits(void **state)
     sfem_surface s = tube(1, 100, 20, 0.3);
     int mode, threads;
     (void)state;
-    for (mode = 0; mode < 2; ++mode) {
+    for (mode = 0; mode < 4; ++mode) {
         uint64_t one = 0;
         for (threads = 1; threads <= 8; threads += threads == 1 ? 1 : 3) {
             sfem_mesher_def def = sfem_default_mesher_def();
             sfem_error err;
             sfem_mesh m;
-            def.mode = (sfem_mesher_mode)mode;
-            def.tets = 4000;
+            def.mode = (sfem_mesher_mode)(mode % 2);
+            def.grading = mode / 2 * 3;
+            def.tets = mode > 1 ? 20000 : 4000;
             def.exec = thread_exec(threads);
             assert_ok(sfem_mesh_from_surface(&def, &s, &m, NULL, &err), err);
             if (threads == 1) one = hash_mesh(&m);
@@ -1065,6 +1143,8 @@ int main(void)
         cmocka_unit_test(a_cage_of_a_thin_plate_has_its_volume),
         cmocka_unit_test(a_cage_has_the_mass_of_what_it_holds),
         cmocka_unit_test(functions_are_meshed),
+        cmocka_unit_test(graded_meshes_are_coarse_inside_and_the_same_at_the_surface),
+        cmocka_unit_test(graded_meshes_have_the_number_of_tets_too),
         cmocka_unit_test(hostile_surfaces_get_sentences),
         cmocka_unit_test(hostile_functions_get_sentences),
         cmocka_unit_test(every_failing_allocation_leaves_nothing_behind),
