@@ -777,7 +777,7 @@ SFEM_DEF sfem_status sfem_mesh_from_surface(const sfem_mesher_def *def, const sf
  *   box     m
  *   errors  SFEM_BAD_ARGUMENT (size, tets, mode, box), SFEM_NOT_FINITE (a value of f), SFEM_BAD_MESH (nothing inside at
  *           this size), SFEM_TOO_LARGE, SFEM_OUT_OF_MEMORY
- *   cost    a value of f for each lattice point, 24 at most for each cut
+ *   cost    a value of f for each lattice point, 12 for each cut
  * A cage may miss parts that lie between the points at which f is asked: corners, centres and 128 points of each
  * tet of the lattice next to the body. */
 typedef sfem_real (*sfem_sdf)(const sfem_real x[3], void *user);
@@ -10560,44 +10560,15 @@ static void sfemi_solid_between(const sfem_real a[3], const sfem_real b[3], sfem
     for (c = 0; c < 3; ++c) x[c] = a[c] + t * (b[c] - a[c]);
 }
 
-/* Where between a and b the sign changes, for that of a is other than that of b: by halving, to 1/4096. */
+/* Where between a and b the sign changes, for that of a is other than that of b: by halving, to 1/8192. */
 static sfem_real sfemi_solid_halve(const sfemi_solid *s, const sfem_real a[3], const sfem_real b[3], int inside)
 {
-    sfem_real low = 0, high = 1, x[3];
-    int k;
-    for (k = 0; k < 12; ++k) {
-        const sfem_real t = 0.5 * (low + high);
-        sfemi_solid_between(a, b, t, x);
-        if ((sfemi_solid_value(s, x) > 0) == inside)
-            low = t;
-        else
-            high = t;
+    sfem_real low = 0, step, x[3];
+    for (step = 0.5; step > 1.0 / 8192; step *= 0.5) {
+        sfemi_solid_between(a, b, low + step, x);
+        if ((sfemi_solid_value(s, x) > 0) == inside) low += step;
     }
-    return 0.5 * (low + high);
-}
-
-/* The same where the value is continuous: false position, Illinois [Dowell, Jarratt 1971], halving after ten steps. */
-static sfem_real sfemi_solid_zero(const sfemi_solid *s, const sfem_real a[3], const sfem_real b[3])
-{
-    sfem_real low = 0, high = 1, x[3], fa = sfemi_solid_value(s, a), fb = sfemi_solid_value(s, b);
-    int k, side = 0;
-    for (k = 0; k < 24 && high - low > 1e-4; ++k) {
-        const sfem_real t = k < 10 ? low + (high - low) * fa / (fa - fb) : 0.5 * (low + high);
-        sfem_real f;
-        sfemi_solid_between(a, b, t, x);
-        f = sfemi_solid_value(s, x);
-        if (!(fabs(f) > 0)) return t;
-        if ((f > 0) == (fa > 0)) {
-            low = t, fa = f;
-            if (side == 1) fb *= 0.5;
-            side = 1;
-        } else {
-            high = t, fb = f;
-            if (side == -1) fa *= 0.5;
-            side = -1;
-        }
-    }
-    return 0.5 * (low + high);
+    return low + step;
 }
 
 /* The cut of an edge: a place at which it meets a triangle and passes from inside to outside. */
@@ -10606,9 +10577,8 @@ static sfem_real sfemi_solid_cut(const sfemi_solid *s, const sfem_real a[3], con
     sfemi_hit hit[SFEMI_HITS];
     sfem_real x[3];
     int n, k;
-    if (s->f) return sfemi_solid_zero(s, a, b);
-    n = sfemi_bvh_hits(&s->tree, a, b, hit);
-    if (n < 1 || n > SFEMI_HITS) return sfemi_solid_halve(s, a, b, inside); /* a hole */
+    n = s->f ? 0 : sfemi_bvh_hits(&s->tree, a, b, hit);
+    if (n < 1 || n > SFEMI_HITS) return sfemi_solid_halve(s, a, b, inside); /* a function, a hole */
     for (k = 0; k < n - 1; ++k) {
         if (hit[k + 1].t - hit[k].t < 1e-9) continue;
         sfemi_solid_between(a, b, 0.5 * (hit[k].t + hit[k + 1].t), x);
@@ -10642,6 +10612,7 @@ typedef struct sfemi_lattice {
     unsigned char *mark; /* [points/2][3][4] of a cage's tets: 1 meets a triangle, 2 fills a gap */
     sfem_int *code, tets; /* [tets][4] a point, or -1 - a cut; NULL while they are counted */
     sfem_int *share;     /* [tets] of a cage */
+    sfem_int filled;     /* tets of a cage that fill a gap */
     sfem_int *at;        /* [nodes] the code of each node */
     sfem_mesh mesh;
     int not_finite;
@@ -10847,116 +10818,85 @@ static const sfem_real *sfemi_lattice_at(const sfemi_lattice *l, sfem_int code, 
 }
 
 /* Puts a tet of codes down, right-handed; or counts it. */
-static void sfemi_lattice_put(sfemi_lattice *l, sfem_int a, sfem_int b, sfem_int c, sfem_int d)
+static void sfemi_lattice_put(sfemi_lattice *l, const sfem_int code[4])
 {
     sfem_real x[4][3];
+    const sfem_real *at[4];
     sfem_int *v;
-    int left;
+    int k, left;
     if (l->code) {
-        left = sfemi_volume6(sfemi_lattice_at(l, a, x[0]), sfemi_lattice_at(l, b, x[1]), sfemi_lattice_at(l, c, x[2]),
-                             sfemi_lattice_at(l, d, x[3])) < 0;
+        for (k = 0; k < 4; ++k) at[k] = sfemi_lattice_at(l, code[k], x[k]);
+        left = sfemi_volume6(at[0], at[1], at[2], at[3]) < 0;
         v = l->code + 4 * (size_t)l->tets;
-        v[0] = a;
-        v[1] = b;
-        v[2] = left ? d : c;
-        v[3] = left ? c : d;
+        memcpy(v, code, 4 * sizeof *v);
+        v[2] = code[left ? 3 : 2];
+        v[3] = code[left ? 2 : 3];
     }
     ++l->tets;
 }
 
-/* The point of an edge from inside to p: p itself if it is on the surface, else the cut. */
-static sfem_int sfemi_lattice_end(const sfemi_lattice *l, sfem_int inside, sfem_int p)
-{
-    return l->sign[p] == 0 ? p : -1 - sfemi_lattice_find(l, inside, p);
-}
-
-/* Of the quadrilateral that the cuts of a-d and b-d leave of a face: does the diagonal start at a, rather than at b? It
- * starts at the end of the longer cut edge; where both are of one length, at the point of even indices, so that tets on
- * both sides agree [the parity rule of the paper]. */
-static int sfemi_lattice_diagonal(const sfemi_lattice *l, sfem_int a, sfem_int b, sfem_int d)
+/* Of the cut edges of a tet the longer ones are split first, of those of one length the ones from points of odd indices:
+ * tets on both sides of a face agree on its diagonal [the parity rule of the paper]. */
+static int sfemi_lattice_rank(const sfemi_lattice *l, const sfem_int edge[3])
 {
     sfem_int i[3];
-    if ((a ^ b) & 1) return (int)((a ^ d) & 1);
-    sfemi_lattice_indices(l, a, i);
-    return !((i[0] + i[1] + i[2]) & 1);
+    sfemi_lattice_indices(l, edge[0], i);
+    return 2 * (int)((edge[0] ^ edge[1]) & 1) + !((i[0] + i[1] + i[2]) & 1);
 }
 
-/* A prism as three tets: its top is moved to the bottom corner by corner, in the order given. */
-static void sfemi_lattice_prism(sfemi_lattice *l, const sfem_int top[3], const sfem_int bottom[3], const int order[3])
+/* The cut edges of a tet as point inside, point outside, code of the cut, in the order of splitting. Of a quadrilateral
+ * on the surface, which no other tet shares, the shorter diagonal is taken: it ends at the edge that is split first. */
+static int sfemi_lattice_cut_edges(const sfemi_lattice *l, const sfem_int p[4], sfem_int edge[4][3])
 {
-    sfem_int v[3];
-    int k;
-    memcpy(v, top, sizeof v);
-    for (k = 0; k < 3; ++k) {
-        sfemi_lattice_put(l, v[0], v[1], v[2], bottom[order[k]]);
-        v[order[k]] = bottom[order[k]];
+    int n = 0, i, j, k;
+    for (i = 0; i < 4; ++i)
+        for (j = 0; j < 4; ++j) {
+            const sfem_int one[3] = {p[i], p[j], l->sign[p[i]] > 0 && l->sign[p[j]] < 0 ? -1 - sfemi_lattice_find(l, p[i], p[j]) : 0};
+            if (!one[2]) continue;
+            for (k = n++; k > 0 && sfemi_lattice_rank(l, edge[k - 1]) > sfemi_lattice_rank(l, one); --k)
+                memcpy(edge[k], edge[k - 1], sizeof one);
+            memcpy(edge[k], one, sizeof one);
+        }
+    if (n == 4 && edge[0][0] == edge[1][0]) {
+        const int same = edge[2][1] == edge[0][1]; /* edges 0 and 2 end in one point */
+        sfem_real u[3], v[3];
+        sfemi_sub3(l->cut[-1 - edge[0][2]].x, l->cut[-1 - edge[same ? 3 : 2][2]].x, u);
+        sfemi_sub3(l->cut[-1 - edge[1][2]].x, l->cut[-1 - edge[same ? 2 : 3][2]].x, v);
+        if (sfemi_dot3(v, v) < sfemi_dot3(u, u))
+            for (k = 0; k < 3; ++k) {
+                const sfem_int swap = edge[0][k];
+                edge[0][k] = edge[1][k];
+                edge[1][k] = swap;
+            }
     }
+    return n;
 }
 
-/* Points a and b inside, c and d outside: a prism between the triangles a, ac, ad and b, bc, bd. */
-static void sfemi_lattice_two_inside(sfemi_lattice *l, sfem_int a, sfem_int b, sfem_int c, sfem_int d)
-{
-    sfem_int top[3], bottom[3];
-    sfem_real x[3], y[3], u[3], v[3];
-    const int from_b_c = sfemi_lattice_diagonal(l, b, a, c), from_b_d = sfemi_lattice_diagonal(l, b, a, d);
-    int order[3] = {0, 1, 2}; /* i before j: the diagonal from bottom i to top j */
-    top[0] = a, top[1] = sfemi_lattice_end(l, a, c), top[2] = sfemi_lattice_end(l, a, d);
-    bottom[0] = b, bottom[1] = sfemi_lattice_end(l, b, c), bottom[2] = sfemi_lattice_end(l, b, d);
-    if (from_b_c != from_b_d) {
-        order[0] = from_b_c ? 2 : 1, order[1] = 0, order[2] = from_b_c ? 1 : 2;
-    } else { /* the face on the surface is this prism's own: its shorter diagonal */
-        int swap;
-        sfemi_sub3(sfemi_lattice_at(l, bottom[1], x), sfemi_lattice_at(l, top[2], y), u);
-        sfemi_sub3(sfemi_lattice_at(l, bottom[2], x), sfemi_lattice_at(l, top[1], y), v);
-        swap = sfemi_dot3(v, v) < sfemi_dot3(u, u);
-        order[0] = from_b_c ? 0 : swap ? 2 : 1;
-        order[1] = from_b_c ? (swap ? 2 : 1) : swap ? 1 : 2;
-        order[2] = from_b_c ? (swap ? 1 : 2) : 0;
-    }
-    sfemi_lattice_prism(l, top, bottom, order);
-}
-
-/* Three inside, d outside: a prism between the cuts and a, b, c. */
-static void sfemi_lattice_three_inside(sfemi_lattice *l, const sfem_int in[3], sfem_int d)
-{
-    sfem_int top[3];
-    int order[3] = {0, 0, 0}, rank, i, j;
-    for (i = 0; i < 3; ++i) {
-        top[i] = sfemi_lattice_end(l, in[i], d);
-        for (rank = 0, j = 0; j < 3; ++j)
-            if (j != i) rank += sfemi_lattice_diagonal(l, in[j], in[i], d);
-        order[rank] = i;
-    }
-    sfemi_lattice_prism(l, top, in, order);
-}
-
-/* What of a lattice tet is inside: the stencils of the paper, by the number of points inside and outside. */
+/* What of a lattice tet is inside: it is halved at its cut edges, one after the other, and of the parts those without a
+ * point outside are taken. This gives the stencils of the paper. */
 static void sfemi_lattice_stencil(sfemi_lattice *l, const sfem_int p[4])
 {
-    sfem_int in[4], on[4], out[4], cut[4];
-    int ins = 0, ons = 0, outs = 0, k;
-    for (k = 0; k < 4; ++k) {
-        if (l->sign[p[k]] > 0) in[ins++] = p[k];
-        if (l->sign[p[k]] == 0) on[ons++] = p[k];
-        if (l->sign[p[k]] < 0) out[outs++] = p[k];
-    }
-    if (ins == 0) return;
-    if (outs == 0) {
-        sfemi_lattice_put(l, p[0], p[1], p[2], p[3]);
-    } else if (ins == 1) {
-        for (k = 0; k < ons; ++k) cut[k] = on[k];
-        for (k = 0; k < outs; ++k) cut[ons + k] = sfemi_lattice_end(l, in[0], out[k]);
-        sfemi_lattice_put(l, in[0], cut[0], cut[1], cut[2]);
-    } else if (ins == 3) {
-        sfemi_lattice_three_inside(l, in, out[0]);
-    } else if (outs == 2) {
-        sfemi_lattice_two_inside(l, in[0], in[1], out[0], out[1]);
-    } else { /* a pyramid: two tets with the point on the surface */
-        const int from_a = sfemi_lattice_diagonal(l, in[0], in[1], out[0]);
-        cut[0] = sfemi_lattice_end(l, in[0], out[0]);
-        cut[1] = sfemi_lattice_end(l, in[1], out[0]);
-        sfemi_lattice_put(l, on[0], in[0], in[1], cut[from_a ? 1 : 0]);
-        sfemi_lattice_put(l, on[0], in[from_a ? 0 : 1], cut[1], cut[0]);
+    sfem_int tet[16][4], edge[4][3];
+    int inside = 0, n = 1, cuts, parts, e, t, k;
+    for (k = 0; k < 4; ++k) inside += l->sign[p[k]] > 0;
+    if (!inside) return;
+    memcpy(tet[0], p, sizeof tet[0]);
+    cuts = sfemi_lattice_cut_edges(l, p, edge);
+    for (e = 0; e < cuts; ++e)
+        for (parts = n, t = 0; t < parts; ++t) {
+            int in = -1, out = -1;
+            for (k = 0; k < 4; ++k) {
+                if (tet[t][k] == edge[e][0]) in = k;
+                if (tet[t][k] == edge[e][1]) out = k;
+            }
+            if (in < 0 || out < 0) continue;
+            memcpy(tet[n], tet[t], sizeof tet[t]);
+            tet[n++][in] = edge[e][2];
+            tet[t][out] = edge[e][2];
+        }
+    for (t = 0; t < n; ++t) {
+        for (k = 0; k < 4 && (tet[t][k] < 0 || l->sign[tet[t][k]] >= 0);) ++k;
+        if (k == 4) sfemi_lattice_put(l, tet[t]);
     }
 }
 
@@ -11346,43 +11286,17 @@ static void sfemi_lattice_enclose(sfemi_lattice *l, const sfem_int v[4], size_t 
     const int n = sfemi_cage_inside(l, v);
     if (!l->mark[at] && !n) return;
     if (l->code) l->share[l->tets] = l->mark[at] || n < 4 ? -1 : SFEM_CAGE_LEVELS;
-    sfemi_lattice_put(l, v[0], v[1], v[2], v[3]);
+    sfemi_lattice_put(l, v);
 }
 
-/* Marks a tet that has both points, a new one; returns whether it is. */
-static int sfemi_cage_fill_tet(sfemi_lattice *l, sfem_int p, int axis, int m, const sfem_int ends[2])
+/* Marks a tet that has two of the points at which parts meet in an edge only: that fills the gap there. */
+static void sfemi_cage_fill(sfemi_lattice *l, const sfem_int v[4], size_t at)
 {
-    const size_t at = ((size_t)(p / 2) * 3 + (size_t)axis) * 4 + (size_t)m;
-    sfem_int v[4];
-    int k, found = 0;
-    sfemi_lattice_tet(l, p, axis, m, v);
-    for (k = 0; k < 4; ++k) found += v[k] == ends[0] || v[k] == ends[1];
-    if (found < 2 || l->mark[at] || sfemi_cage_inside(l, v)) return 0;
+    int k, n = 0;
+    for (k = 0; k < 4; ++k) n += l->snap[v[k]] == 0;
+    if (n < 2 || l->mark[at] || sfemi_cage_inside(l, v)) return;
     l->mark[at] = 2;
-    return 1;
-}
-
-/* Marks all tets round the edge of two points, which fills the gap there. Returns how many are new. */
-static sfem_int sfemi_cage_fill(sfemi_lattice *l, sfem_int a, sfem_int b)
-{
-    const sfem_int ends[2] = {a, b};
-    sfem_int i[3], from[3], to[3], j[3], added = 0;
-    int axis, m, c;
-    sfemi_lattice_indices(l, a, i);
-    for (axis = 0; axis < 3; ++axis) {
-        for (c = 0; c < 3; ++c) { /* cells next to the point, as far as the lattice has tets along this axis */
-            const sfem_int last = l->n[c] - (c == axis ? 3 : 2);
-            from[c] = i[c] < 2 ? 0 : i[c] - 2;
-            to[c] = i[c] + 1 < last ? i[c] + 1 : last;
-        }
-        for (j[0] = from[0]; j[0] <= to[0]; ++j[0])
-            for (j[1] = from[1]; j[1] <= to[1]; ++j[1])
-                for (j[2] = from[2]; j[2] <= to[2]; ++j[2])
-                    for (m = 0; m < 4; ++m)
-                        added +=
-                            sfemi_cage_fill_tet(l, 2 * ((j[0] * l->n[1] + j[1]) * l->n[2] + j[2]) + 1, axis, m, ends);
-    }
-    return added;
+    ++l->filled;
 }
 
 /* ---- from tets of the lattice to a mesh ---- */
@@ -11668,11 +11582,13 @@ static sfem_status sfemi_lattice_mesh(sfemi_lattice *l, sfem_mesher_info *info)
         edges = p.edges;
         if (!edges) break;
         if (l->cage) {
-            for (i = 0; i < edges; ++i) {
-                const sfem_int f = p.edge[i] / 3, k = p.edge[i] % 3;
-                info->repaired += sfemi_cage_fill(l, l->at[l->mesh.tet[(f & ~3) + sfemi_mesh_face[f & 3][k]]],
-                                                l->at[l->mesh.tet[(f & ~3) + sfemi_mesh_face[f & 3][(k + 1) % 3]]]);
+            for (i = 0; i < 2 * edges; ++i) {
+                const sfem_int f = p.edge[i / 2] / 3, k = (p.edge[i / 2] + i % 2) % 3;
+                l->snap[l->at[l->mesh.tet[(f & ~3) + sfemi_mesh_face[f & 3][k]]]] = 0; /* a cage has no other use of it */
             }
+            sfemi_lattice_each(l, sfemi_cage_fill);
+            for (i = 0; i < l->points; ++i) l->snap[i] = -1;
+            info->repaired = l->filled;
             SFEMI_TRY(sfemi_lattice_emit(l));
             SFEMI_TRY(sfemi_lattice_number(l));
         } else
