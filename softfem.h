@@ -10096,28 +10096,64 @@ done:
  * Biomed. Eng. 30, 1983. Moeller, Trumbore, Fast, minimum storage ray/triangle intersection, J. Graphics Tools 2,
  * 1997. */
 
-/* order = 0..count-1 sorted by the numbers key[count][width] in [0, range), the first of them first; stable. */
-static sfem_status sfemi_mesher_order(const sfem_int *key, int width, sfem_int count, sfem_int range,
-                                      const sfem_allocator *a, sfem_int **order, sfem_error *err)
+/* Things of equal keys. */
+typedef struct sfemi_groups {
+    const sfem_allocator *a;
+    sfem_int *order, *start, count; /* [things] by key; [count + 1] where each group starts in it */
+} sfemi_groups;
+
+static void sfemi_groups_free(sfemi_groups *g)
+{
+    if (!g->a) return;
+    sfemi_delete(g->a, g->order);
+    sfemi_delete(g->a, g->start);
+}
+
+/* Things 0..n-1 by key[n][width], numbers in [0, range), the first of them first; stable. */
+static sfem_status sfemi_groups_make(sfemi_groups *g, const sfem_int *key, size_t width, sfem_int n, sfem_int range,
+                                     sfem_error *err)
 {
     sfem_status status = SFEM_OK;
-    sfem_int *other = NULL, *bucket = NULL, *swap;
-    int k;
-    SFEMI_NEW(sfem_int, *order, a, (size_t)count + 1);
-    SFEMI_NEW(sfem_int, other, a, (size_t)count + 1);
-    SFEMI_NEW(sfem_int, bucket, a, (size_t)range + 1);
-    for (k = width - 1; k >= 0; --k) {
-        sfemi_mesh_sort(key + k, (size_t)width, count, range, k == width - 1 ? NULL : other, *order, bucket);
-        swap = *order;
-        *order = other;
+    sfem_int *other = NULL, *bucket = NULL, *swap, i;
+    size_t k;
+    SFEMI_NEW(sfem_int, g->order, g->a, (size_t)n + 1);
+    SFEMI_NEW(sfem_int, g->start, g->a, (size_t)n + 1);
+    SFEMI_NEW(sfem_int, other, g->a, (size_t)n + 1);
+    SFEMI_NEW(sfem_int, bucket, g->a, (size_t)range + 1);
+    for (k = width; k-- > 0;) {
+        sfemi_mesh_sort(key + k, width, n, range, k == width - 1 ? NULL : other, g->order, bucket);
+        swap = g->order;
+        g->order = other;
         other = swap;
     }
-    swap = *order;
-    *order = other;
+    swap = g->order;
+    g->order = other;
     other = swap;
+    for (i = 0; i < n; ++i)
+        if (i == 0 || memcmp(key + width * (size_t)g->order[i], key + width * (size_t)g->order[i - 1], width * sizeof *key))
+            g->start[g->count++] = i;
+    g->start[g->count] = n;
 done:
-    sfemi_delete(a, other);
-    sfemi_delete(a, bucket);
+    sfemi_delete(g->a, other);
+    sfemi_delete(g->a, bucket);
+    return status;
+}
+
+/* Edges of triangles by their two nodes, edge 3 t + k from corner k of triangle t to the next. */
+static sfem_status sfemi_groups_edges(sfemi_groups *g, const sfem_int *tri, sfem_int triangles, sfem_int nodes,
+                                      sfem_error *err)
+{
+    sfem_status status = SFEM_OK;
+    sfem_int *key = NULL, i;
+    SFEMI_NEW(sfem_int, key, g->a, 6 * (size_t)triangles + 1);
+    for (i = 0; i < 3 * triangles; ++i) {
+        const sfem_int p = tri[i], q = tri[i % 3 == 2 ? i - 2 : i + 1];
+        key[2 * (size_t)i] = p < q ? p : q;
+        key[2 * (size_t)i + 1] = p < q ? q : p;
+    }
+    SFEMI_TRY(sfemi_groups_make(g, key, 2, 3 * triangles, nodes, err));
+done:
+    sfemi_delete(g->a, key);
     return status;
 }
 
@@ -10212,23 +10248,22 @@ static sfem_status sfemi_repair_doubled(sfemi_repair *m)
 {
     sfem_status status = SFEM_OK;
     sfem_error *err = m->err;
-    sfem_int *key = NULL, *order = NULL, i, j, t, pairs = 0, kept = 0;
+    sfemi_groups same = {&m->a, NULL, NULL, 0};
+    sfem_int *key = NULL, i, j, t, pairs = 0, kept = 0;
     unsigned char *drop = NULL, *sense = NULL;
     SFEMI_NEW(sfem_int, key, &m->a, 3 * (size_t)m->n);
     SFEMI_NEW(unsigned char, drop, &m->a, m->n);
     SFEMI_NEW(unsigned char, sense, &m->a, m->n);
     for (t = 0; t < m->n; ++t) {
-        sfem_int tet[4];
-        tet[0] = 0;
+        sfem_int tet[4] = {0, 0, 0, 0};
         memcpy(tet + 1, m->tri + 3 * (size_t)t, 3 * sizeof *tet);
         sense[t] = sfemi_mesh_face_key(tet, 0, key + 3 * (size_t)t);
     }
-    SFEMI_TRY(sfemi_mesher_order(key, 3, m->n, m->s->nodes, &m->a, &order, err));
-    for (i = 0; i < m->n; i = j) {
+    SFEMI_TRY(sfemi_groups_make(&same, key, 3, m->n, m->s->nodes, err));
+    for (i = 0; i < same.count; ++i) {
         sfem_int seen[2] = {0, 0};
-        for (j = i; j < m->n; ++j) {
-            t = order[j];
-            if (memcmp(key + 3 * (size_t)t, key + 3 * (size_t)order[i], 3 * sizeof *key)) break;
+        for (j = same.start[i]; j < same.start[i + 1]; ++j) {
+            t = same.order[j];
             drop[t] = (unsigned char)(seen[sense[t]] ? 1 : seen[!sense[t]] ? 2 : 0); /* 2: the other of a pair */
             pairs += drop[t] == 2;
             kept += drop[t] != 1;
@@ -10243,7 +10278,7 @@ static sfem_status sfemi_repair_doubled(sfemi_repair *m)
     m->n = i;
 done:
     sfemi_delete(&m->a, key);
-    sfemi_delete(&m->a, order);
+    sfemi_groups_free(&same);
     sfemi_delete(&m->a, drop);
     sfemi_delete(&m->a, sense);
     return status;
@@ -10271,34 +10306,26 @@ static sfem_status sfemi_repair_join(sfemi_repair *m)
 {
     sfem_status status = SFEM_OK;
     sfem_error *err = m->err;
-    sfem_int *key = NULL, *order = NULL, edges = 3 * m->n, i, j;
-    SFEMI_NEW(sfem_int, key, &m->a, 2 * (size_t)edges);
-    for (i = 0; i < edges; ++i) {
-        const sfem_int p = m->tri[i], q = m->tri[i % 3 == 2 ? i - 2 : i + 1];
-        key[2 * (size_t)i] = p < q ? p : q;
-        key[2 * (size_t)i + 1] = p < q ? q : p;
-    }
-    SFEMI_TRY(sfemi_mesher_order(key, 2, edges, m->s->nodes, &m->a, &order, err));
-    for (i = 0; i < edges; i = j) {
-        for (j = i + 1; j < edges; ++j)
-            if (memcmp(key + 2 * (size_t)order[j], key + 2 * (size_t)order[i], 2 * sizeof *key)) break;
-        m->info->open_edges += j == i + 1;
-        m->open += j != i + 2;
-        if (j == i + 2) { /* neighbours run along it in opposite directions, or one is reversed */
-            const sfem_int e = order[i], f = order[i + 1];
-            unsigned char odd[2];
-            const sfem_int p = sfemi_repair_root(m, e / 3, odd), q = sfemi_repair_root(m, f / 3, odd + 1);
-            if (p == q) { /* a Moebius strip has no orientation: what came first counts */
-                m->open += (odd[0] ^ odd[1]) != (m->tri[e] == m->tri[f]);
-                continue;
-            }
-            m->parent[p > q ? p : q] = p > q ? q : p;
-            m->odd[p > q ? p : q] = (unsigned char)(odd[0] ^ odd[1] ^ (m->tri[e] == m->tri[f]));
-        }
+    sfemi_groups edge = {&m->a, NULL, NULL, 0};
+    sfem_int i;
+    SFEMI_TRY(sfemi_groups_edges(&edge, m->tri, m->n, m->s->nodes, err));
+    for (i = 0; i < edge.count; ++i) { /* neighbours run along it in opposite directions, or one is reversed */
+        const sfem_int *at = edge.order + edge.start[i], n = edge.start[i + 1] - edge.start[i];
+        unsigned char odd[2], against;
+        sfem_int p, q;
+        m->info->open_edges += n == 1;
+        m->open += n != 2;
+        if (n != 2) continue;
+        p = sfemi_repair_root(m, at[0] / 3, odd);
+        q = sfemi_repair_root(m, at[1] / 3, odd + 1);
+        against = (unsigned char)(odd[0] ^ odd[1] ^ (m->tri[at[0]] == m->tri[at[1]]));
+        m->open += p == q && against; /* a Moebius strip has no orientation: what came first counts */
+        if (p == q) continue;
+        m->parent[p > q ? p : q] = p > q ? q : p;
+        m->odd[p > q ? p : q] = against;
     }
 done:
-    sfemi_delete(&m->a, key);
-    sfemi_delete(&m->a, order);
+    sfemi_groups_free(&edge);
     return status;
 }
 
@@ -11369,9 +11396,9 @@ typedef struct sfemi_manifold {
     sfem_int *root;   /* [tets][4] corners of one node that are connected by faces: their lowest, by union-find */
     sfem_int *number; /* [tets][4] node of the corner, once these are separated */
     sfem_int nodes;   /* so many then */
-    sfem_int *edge;   /* [edges] corners of faces, 3 (4 tet + face) + side, whose edges are in more than two triangles
-                       * */
-    sfem_int edges;
+    sfem_int *face;   /* [triangles] the faces on the surface, as 4 tet + face */
+    sfemi_groups edge; /* their edges, by the new nodes, of which */
+    sfem_int bad;     /* so many are not in two triangles */
 } sfemi_manifold;
 
 static void sfemi_manifold_free(sfemi_manifold *p)
@@ -11379,7 +11406,8 @@ static void sfemi_manifold_free(sfemi_manifold *p)
     sfemi_delete(p->a, p->mate);
     sfemi_delete(p->a, p->root);
     sfemi_delete(p->a, p->number);
-    sfemi_delete(p->a, p->edge);
+    sfemi_delete(p->a, p->face);
+    sfemi_groups_free(&p->edge);
 }
 
 static sfem_status sfemi_manifold_mates(sfemi_manifold *p)
@@ -11387,22 +11415,24 @@ static sfem_status sfemi_manifold_mates(sfemi_manifold *p)
     sfem_status status = SFEM_OK;
     sfem_error *err = p->err;
     const sfem_int faces = 4 * p->m->tets;
-    sfem_int *key = NULL, *order = NULL, i;
+    sfemi_groups same = {p->a, NULL, NULL, 0};
+    sfem_int *key = NULL, i;
     SFEMI_NEW(sfem_int, p->mate, p->a, (size_t)faces + 1);
     SFEMI_NEW(sfem_int, key, p->a, 3 * (size_t)faces);
     for (i = 0; i < faces; ++i) {
         sfemi_mesh_face_key(p->m->tet + (size_t)(i & ~3), i & 3, key + 3 * (size_t)i);
         p->mate[i] = -1;
     }
-    SFEMI_TRY(sfemi_mesher_order(key, 3, faces, p->m->nodes, p->a, &order, err));
-    for (i = 0; i + 1 < faces; ++i) {
-        if (memcmp(key + 3 * (size_t)order[i], key + 3 * (size_t)order[i + 1], 3 * sizeof *key)) continue;
-        p->mate[order[i]] = order[i + 1];
-        p->mate[order[i + 1]] = order[i];
+    SFEMI_TRY(sfemi_groups_make(&same, key, 3, faces, p->m->nodes, err));
+    for (i = 0; i < same.count; ++i) {
+        const sfem_int *at = same.order + same.start[i];
+        if (same.start[i + 1] - same.start[i] < 2) continue;
+        p->mate[at[0]] = at[1];
+        p->mate[at[1]] = at[0];
     }
 done:
     sfemi_delete(p->a, key);
-    sfemi_delete(p->a, order);
+    sfemi_groups_free(&same);
     return status;
 }
 
@@ -11453,47 +11483,41 @@ done:
     return status;
 }
 
-/* The edges that are in more than two triangles of the surface, by the new numbers: one entry for each triangle. */
+/* The edges of the surface by the new numbers, and how many of them are in more than two triangles. */
 static sfem_status sfemi_manifold_edges(sfemi_manifold *p)
 {
     sfem_status status = SFEM_OK;
     sfem_error *err = p->err;
-    const sfem_int faces = 4 * p->m->tets;
-    sfem_int *key = NULL, *side = NULL, *order = NULL, n = 0, f, i, j, k;
-    for (f = 0; f < faces; ++f) n += p->mate[f] < 0;
-    n *= 3;
-    SFEMI_NEW(sfem_int, key, p->a, 2 * (size_t)n + 1);
-    SFEMI_NEW(sfem_int, side, p->a, (size_t)n + 1);
-    SFEMI_NEW(sfem_int, p->edge, p->a, (size_t)n + 1);
-    for (n = 0, f = 0; f < faces; ++f)
-        for (k = 0; k < 3 && p->mate[f] < 0; ++k) {
-            const unsigned char *v = sfemi_mesh_face[f & 3];
-            const sfem_int a = p->number[(f & ~3) + v[k]], b = p->number[(f & ~3) + v[(k + 1) % 3]];
-            key[2 * (size_t)n] = a < b ? a : b;
-            key[2 * (size_t)n + 1] = a < b ? b : a;
-            side[n++] = 3 * f + k;
-        }
-    SFEMI_TRY(sfemi_mesher_order(key, 2, n, p->nodes, p->a, &order, err));
-    for (i = 0; i < n; i = j) {
-        for (j = i + 1; j < n; ++j)
-            if (memcmp(key + 2 * (size_t)order[j], key + 2 * (size_t)order[i], 2 * sizeof *key)) break;
-        if (j == i + 2) continue;
-        for (k = i; k < j; ++k) p->edge[p->edges++] = side[order[k]];
+    sfem_int *tri = NULL, n = 0, f, k;
+    for (f = 0; f < 4 * p->m->tets; ++f) n += p->mate[f] < 0;
+    SFEMI_NEW(sfem_int, tri, p->a, 3 * (size_t)n + 1);
+    SFEMI_NEW(sfem_int, p->face, p->a, (size_t)n + 1);
+    for (n = 0, f = 0; f < 4 * p->m->tets; ++f) {
+        if (p->mate[f] >= 0) continue;
+        for (k = 0; k < 3; ++k) tri[3 * (size_t)n + (size_t)k] = p->number[(f & ~3) + sfemi_mesh_face[f & 3][k]];
+        p->face[n++] = f;
     }
+    p->edge.a = p->a;
+    SFEMI_TRY(sfemi_groups_edges(&p->edge, tri, n, p->nodes, err));
+    for (k = 0; k < p->edge.count; ++k) p->bad += p->edge.start[k + 1] - p->edge.start[k] != 2;
 done:
-    sfemi_delete(p->a, key);
-    sfemi_delete(p->a, side);
-    sfemi_delete(p->a, order);
+    sfemi_delete(p->a, tri);
     return status;
 }
 
+/* The corner of a tet, as 4 tet + corner, from which an edge of the surface starts, or at which it ends. */
+static sfem_int sfemi_manifold_corner(const sfemi_manifold *p, sfem_int edge, int end)
+{
+    const sfem_int f = p->face[edge / 3];
+    return (f & ~3) + sfemi_mesh_face[f & 3][(edge + end) % 3];
+}
+
 /* From a face on the surface through the tets round one of its edges to the surface again: how many; marks them. */
-static sfem_int sfemi_manifold_wedge(const sfemi_manifold *p, sfem_int side, unsigned char *dead)
+static sfem_int sfemi_manifold_wedge(const sfemi_manifold *p, sfem_int edge, unsigned char *dead)
 {
     const sfem_int *tet = p->m->tet;
-    sfem_int f = side / 3, n = 0, a, b, k;
-    a = tet[(f & ~3) + sfemi_mesh_face[f & 3][side % 3]];
-    b = tet[(f & ~3) + sfemi_mesh_face[f & 3][(side + 1) % 3]];
+    const sfem_int a = tet[sfemi_manifold_corner(p, edge, 0)], b = tet[sfemi_manifold_corner(p, edge, 1)];
+    sfem_int f = p->face[edge / 3], n = 0, k;
     while (f >= 0) {
         ++n;
         if (dead) dead[f / 4] = 1;
@@ -11512,20 +11536,15 @@ static sfem_status sfemi_manifold_cut(sfemi_manifold *p, sfem_int *count)
     sfem_status status = SFEM_OK;
     sfem_error *err = p->err;
     unsigned char *dead = NULL;
-    const sfem_int *tet = p->m->tet;
+    const sfem_int *tet = p->m->tet, *start = p->edge.start;
     sfem_int i, j, t, n = 0;
     SFEMI_NEW(unsigned char, dead, p->a, p->m->tets);
-    for (i = 0; i < p->edges; i = j) {
-        sfem_int least = INT32_MAX, best = p->edge[i], low[2], high[2];
-        for (j = i; j < p->edges; ++j) {
-            const sfem_int f = p->edge[j] / 3, k = p->edge[j] % 3, at = j > i;
-            const sfem_int a = p->number[(f & ~3) + sfemi_mesh_face[f & 3][k]];
-            const sfem_int b = p->number[(f & ~3) + sfemi_mesh_face[f & 3][(k + 1) % 3]];
-            const sfem_int size = sfemi_manifold_wedge(p, p->edge[j], NULL);
-            low[at] = a < b ? a : b;
-            high[at] = a < b ? b : a;
-            if (at && (low[0] != low[1] || high[0] != high[1])) break;
-            if (size < least) least = size, best = p->edge[j];
+    for (i = 0; i < p->edge.count; ++i) {
+        sfem_int least = INT32_MAX, best = 0;
+        if (start[i + 1] - start[i] == 2) continue;
+        for (j = start[i]; j < start[i + 1]; ++j) {
+            const sfem_int size = sfemi_manifold_wedge(p, p->edge.order[j], NULL);
+            if (size < least) least = size, best = p->edge.order[j];
         }
         sfemi_manifold_wedge(p, best, dead);
     }
@@ -11567,7 +11586,8 @@ static sfem_status sfemi_lattice_mesh(sfemi_lattice *l, sfem_mesher_info *info)
 {
     sfem_status status;
     sfemi_manifold p;
-    sfem_int edges, i;
+    sfem_int i;
+    int end;
     memset(&p, 0, sizeof p);
     SFEMI_TRY(sfemi_lattice_emit(l));
     if (!l->cage) sfemi_lattice_relax(l);
@@ -11579,13 +11599,11 @@ static sfem_status sfemi_lattice_mesh(sfemi_lattice *l, sfem_mesher_info *info)
         SFEMI_TRY(sfemi_manifold_mates(&p));
         SFEMI_TRY(sfemi_manifold_corners(&p));
         SFEMI_TRY(sfemi_manifold_edges(&p));
-        edges = p.edges;
-        if (!edges) break;
+        if (!p.bad) break;
         if (l->cage) {
-            for (i = 0; i < 2 * edges; ++i) {
-                const sfem_int f = p.edge[i / 2] / 3, k = (p.edge[i / 2] + i % 2) % 3;
-                l->snap[l->at[l->mesh.tet[(f & ~3) + sfemi_mesh_face[f & 3][k]]]] = 0; /* a cage has no other use of it */
-            }
+            for (i = 0; i < p.edge.count; ++i)
+                for (end = 0; end < 2 && p.edge.start[i + 1] - p.edge.start[i] != 2; ++end) /* snap has no other use here */
+                    l->snap[l->at[l->mesh.tet[sfemi_manifold_corner(&p, p.edge.order[p.edge.start[i]], end)]]] = 0;
             sfemi_lattice_each(l, sfemi_cage_fill);
             for (i = 0; i < l->points; ++i) l->snap[i] = -1;
             info->repaired = l->filled;
