@@ -767,7 +767,7 @@ typedef struct sfem_mesher_info {
  *           SFEM_OUT_OF_MEMORY
  *   cost    O(triangles log triangles) and O(log triangles) a lattice point; by number of tets, all lattices that are
  *           tried have 262144 + 4000 tets points together at most: where that is reached, the nearest number is taken
- *   memory  400 bytes a triangle, 14 a lattice point of the surface's box, 400 a tet; all but the mesh is given back */
+ *   memory  400 bytes a triangle, 16 a lattice point of the surface's box, 400 a tet; all but the mesh is given back */
 SFEM_DEF sfem_status sfem_mesh_from_surface(const sfem_mesher_def *def, const sfem_surface *surface, sfem_mesh *out,
                                             sfem_mesher_info *info, sfem_error *err);
 

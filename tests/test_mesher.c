@@ -915,19 +915,24 @@ static void every_failing_allocation_leaves_nothing_behind(void **state)
 static void memory_is_what_the_header_states(void **state)
 {
     sfem_surface s = tube(0, 300, 60, 0.4);
-    test_memory memory = {0};
-    sfem_mesher_def def = sfem_default_mesher_def();
-    sfem_mesher_info info;
-    sfem_error err;
-    sfem_mesh m;
+    int k;
     (void)state;
-    def.allocator = test_allocator(&memory);
-    def.tets = 20000;
-    assert_ok(sfem_mesh_from_surface(&def, &s, &m, &info, &err), err);
-    if (memory.peak > 400 * (size_t)s.triangles + 14 * (size_t)info.lattice + 400 * (size_t)m.tets)
-        fail_msg("%lu bytes", (unsigned long)memory.peak);
-    sfem_mesh_free(&m);
-    assert_no_leak(memory);
+    for (k = 0; k < 4; ++k) {
+        test_memory memory = {0};
+        sfem_mesher_def def = sfem_default_mesher_def();
+        sfem_mesher_info info;
+        sfem_error err;
+        sfem_mesh m;
+        def.allocator = test_allocator(&memory);
+        def.mode = (sfem_mesher_mode)(k % 2);
+        def.grading = k / 2 * 3;
+        def.tets = 20000;
+        assert_ok(sfem_mesh_from_surface(&def, &s, &m, &info, &err), err);
+        if (memory.peak > 400 * (size_t)s.triangles + 16 * (size_t)info.lattice + 400 * (size_t)m.tets)
+            fail_msg("%lu bytes", (unsigned long)memory.peak);
+        sfem_mesh_free(&m);
+        assert_no_leak(memory);
+    }
     drop_surface(&s);
 }
 
