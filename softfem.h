@@ -743,8 +743,10 @@ SFEM_DEF sfem_status sfem_mesh_write_obj(const char *path, const sfem_mesh *mesh
  *              sake of the angles. Parts thinner than a cell may get lost; edges and corners are cut off within one
  *              cell.
  * SFEM_CAGE    every tet of the lattice that meets the body: the cage contains the whole surface, thin parts too. Its
- *              tets are filled in part. mesh->region of each is its filled share in SFEM_CAGE_LEVELS parts, by as many
- *              points in it, from 0 to SFEM_CAGE_LEVELS: the index into what sfem_cage_materials makes.
+ *              tets are filled in part. mesh->region of each is its filled share in SFEM_CAGE_LEVELS parts, from 0 to
+ *              SFEM_CAGE_LEVELS: the index into what sfem_cage_materials makes. It is measured along 32 chords of the
+ *              tet, and what rounding takes from one tet is given to the next: their sum is the body's volume, also of
+ *              thin plates.
  *
  * Every edge of the mesh's surface is in two triangles. Where parts would meet in a node only, it is duplicated. Where
  * they would meet in an edge only, tets at it are left out (fitted) or added (cage). */
@@ -756,6 +758,10 @@ typedef struct sfem_mesher_def {
     sfem_real size;        /* the longer edges of the lattice, m; 0: as many tets as stated next */
     sfem_int tets;         /* wanted, where size is 0; default 5000. Met within 15 % (tested at 2000 and 9000). The number
                             * of small bodies, and of plates of one layer, may jump past it: the nearest is taken */
+    int grading;           /* 0: all tets are of one size, the default; 1 to 10: below the surface the edges are doubled
+                            * as often at most, where the body is thick enough: by layers, of one cell at least and twice
+                            * as thick each. The surface is that of size alone. Tets inside have dihedral angles of 45
+                            * to 120 degrees, those at the surface of a fitted mesh the bounds above */
     sfem_exec exec;        /* threads; the mesh has the same bits for any number of them */
     void (*progress)(sfem_real part, void *user); /* or NULL: called by the calling thread with the part of the work that
                                                    * is done, an estimate: from 0, never less than before, 1 at the
@@ -787,10 +793,11 @@ typedef struct sfem_mesher_info {
  *           SFEM_BAD_MESH       a vertex number out of range (the text tells the triangle), no triangle with an area, a
  *                               surface that encloses nothing at this size: an open sheet, or parts thinner than a cell
  *           SFEM_NOT_FINITE     a coordinate, err->node
- *           SFEM_TOO_LARGE      a lattice of more than 2^28 points
+ *           SFEM_TOO_LARGE      a lattice of more than 2^28 points; by number of tets, of more than 262144 + 4000 tets
  *           SFEM_OUT_OF_MEMORY
- *   cost    O(triangles log triangles) and O(log triangles) a lattice point
- *   memory  400 bytes a triangle, 14 a lattice point of the surface's box, 400 a tet; all but the mesh is given back */
+ *   cost    O(triangles log triangles) and O(log triangles) a lattice point; by number of tets, all lattices that are
+ *           tried have 262144 + 4000 tets points together at most: where that is reached, the nearest number is taken
+ *   memory  400 bytes a triangle, 16 a lattice point of the surface's box, 400 a tet; all but the mesh is given back */
 SFEM_DEF sfem_status sfem_mesh_from_surface(const sfem_mesher_def *def, const sfem_surface *surface, sfem_mesh *out,
                                             sfem_mesher_info *info, sfem_error *err);
 
@@ -800,9 +807,9 @@ SFEM_DEF sfem_status sfem_mesh_from_surface(const sfem_mesher_def *def, const sf
  *   box     m
  *   errors  SFEM_BAD_ARGUMENT (size, tets, mode, box), SFEM_NOT_FINITE (a value of f), SFEM_BAD_MESH (nothing inside at
  *           this size), SFEM_TOO_LARGE, SFEM_OUT_OF_MEMORY
- *   cost    a value of f for each lattice point, 24 at most for each cut
- * A cage may miss parts that lie between the points at which f is asked: corners, centres and
- * SFEM_CAGE_LEVELS points of each tet of the lattice next to the body. */
+ *   cost    a value of f for each lattice point, 12 for each cut
+ * A cage may miss parts that lie between the points at which f is asked: corners, centres and 128 points of each
+ * tet of the lattice next to the body. */
 typedef sfem_real (*sfem_sdf)(const sfem_real x[3], void *user);
 SFEM_DEF sfem_status sfem_mesh_from_sdf(const sfem_mesher_def *def, sfem_sdf f, void *user, const sfem_real box[2][3],
                                         sfem_mesh *out, sfem_mesher_info *info, sfem_error *err);
@@ -10496,28 +10503,64 @@ done:
  * Biomed. Eng. 30, 1983. Moeller, Trumbore, Fast, minimum storage ray/triangle intersection, J. Graphics Tools 2,
  * 1997. */
 
-/* order = 0..count-1 sorted by the numbers key[count][width] in [0, range), the first of them first; stable. */
-static sfem_status sfemi_mesher_order(const sfem_int *key, int width, sfem_int count, sfem_int range,
-                                      const sfem_allocator *a, sfem_int **order, sfem_error *err)
+/* Things of equal keys. */
+typedef struct sfemi_groups {
+    const sfem_allocator *a;
+    sfem_int *order, *start, count; /* [things] by key; [count + 1] where each group starts in it */
+} sfemi_groups;
+
+static void sfemi_groups_free(sfemi_groups *g)
+{
+    if (!g->a) return;
+    sfemi_delete(g->a, g->order);
+    sfemi_delete(g->a, g->start);
+}
+
+/* Things 0..n-1 by key[n][width], numbers in [0, range), the first of them first; stable. */
+static sfem_status sfemi_groups_make(sfemi_groups *g, const sfem_int *key, size_t width, sfem_int n, sfem_int range,
+                                     sfem_error *err)
 {
     sfem_status status = SFEM_OK;
-    sfem_int *other = NULL, *bucket = NULL, *swap;
-    int k;
-    SFEMI_NEW(sfem_int, *order, a, (size_t)count + 1);
-    SFEMI_NEW(sfem_int, other, a, (size_t)count + 1);
-    SFEMI_NEW(sfem_int, bucket, a, (size_t)range + 1);
-    for (k = width - 1; k >= 0; --k) {
-        sfemi_mesh_sort(key + k, (size_t)width, count, range, k == width - 1 ? NULL : other, *order, bucket);
-        swap = *order;
-        *order = other;
+    sfem_int *other = NULL, *bucket = NULL, *swap, i;
+    size_t k;
+    SFEMI_NEW(sfem_int, g->order, g->a, (size_t)n + 1);
+    SFEMI_NEW(sfem_int, g->start, g->a, (size_t)n + 1);
+    SFEMI_NEW(sfem_int, other, g->a, (size_t)n + 1);
+    SFEMI_NEW(sfem_int, bucket, g->a, (size_t)range + 1);
+    for (k = width; k-- > 0;) {
+        sfemi_mesh_sort(key + k, width, n, range, k == width - 1 ? NULL : other, g->order, bucket);
+        swap = g->order;
+        g->order = other;
         other = swap;
     }
-    swap = *order;
-    *order = other;
+    swap = g->order;
+    g->order = other;
     other = swap;
+    for (i = 0; i < n; ++i)
+        if (i == 0 || memcmp(key + width * (size_t)g->order[i], key + width * (size_t)g->order[i - 1], width * sizeof *key))
+            g->start[g->count++] = i;
+    g->start[g->count] = n;
 done:
-    sfemi_delete(a, other);
-    sfemi_delete(a, bucket);
+    sfemi_delete(g->a, other);
+    sfemi_delete(g->a, bucket);
+    return status;
+}
+
+/* Edges of triangles by their two nodes, edge 3 t + k from corner k of triangle t to the next. */
+static sfem_status sfemi_groups_edges(sfemi_groups *g, const sfem_int *tri, sfem_int triangles, sfem_int nodes,
+                                      sfem_error *err)
+{
+    sfem_status status = SFEM_OK;
+    sfem_int *key = NULL, i;
+    SFEMI_NEW(sfem_int, key, g->a, 6 * (size_t)triangles + 1);
+    for (i = 0; i < 3 * triangles; ++i) {
+        const sfem_int p = tri[i], q = tri[i % 3 == 2 ? i - 2 : i + 1];
+        key[2 * (size_t)i] = p < q ? p : q;
+        key[2 * (size_t)i + 1] = p < q ? q : p;
+    }
+    SFEMI_TRY(sfemi_groups_make(g, key, 2, 3 * triangles, nodes, err));
+done:
+    sfemi_delete(g->a, key);
     return status;
 }
 
@@ -10530,6 +10573,7 @@ typedef struct sfemi_repair {
     sfem_int *tri;           /* [n][3] are the nodes */
     sfem_int *parent;        /* [n] union-find of triangles that are connected by edges of two, */
     unsigned char *odd;      /* [n] 1 where a triangle is oriented otherwise than its parent */
+    sfem_int open;           /* edges that are not in two triangles that are oriented alike */
     sfem_mesher_info *info;
     sfem_error *err;
 } sfemi_repair;
@@ -10611,23 +10655,22 @@ static sfem_status sfemi_repair_doubled(sfemi_repair *m)
 {
     sfem_status status = SFEM_OK;
     sfem_error *err = m->err;
-    sfem_int *key = NULL, *order = NULL, i, j, t, pairs = 0, kept = 0;
+    sfemi_groups same = {&m->a, NULL, NULL, 0};
+    sfem_int *key = NULL, i, j, t, pairs = 0, kept = 0;
     unsigned char *drop = NULL, *sense = NULL;
     SFEMI_NEW(sfem_int, key, &m->a, 3 * (size_t)m->n);
     SFEMI_NEW(unsigned char, drop, &m->a, m->n);
     SFEMI_NEW(unsigned char, sense, &m->a, m->n);
     for (t = 0; t < m->n; ++t) {
-        sfem_int tet[4];
-        tet[0] = 0;
+        sfem_int tet[4] = {0, 0, 0, 0};
         memcpy(tet + 1, m->tri + 3 * (size_t)t, 3 * sizeof *tet);
         sense[t] = sfemi_mesh_face_key(tet, 0, key + 3 * (size_t)t);
     }
-    SFEMI_TRY(sfemi_mesher_order(key, 3, m->n, m->s->nodes, &m->a, &order, err));
-    for (i = 0; i < m->n; i = j) {
+    SFEMI_TRY(sfemi_groups_make(&same, key, 3, m->n, m->s->nodes, err));
+    for (i = 0; i < same.count; ++i) {
         sfem_int seen[2] = {0, 0};
-        for (j = i; j < m->n; ++j) {
-            t = order[j];
-            if (memcmp(key + 3 * (size_t)t, key + 3 * (size_t)order[i], 3 * sizeof *key)) break;
+        for (j = same.start[i]; j < same.start[i + 1]; ++j) {
+            t = same.order[j];
             drop[t] = (unsigned char)(seen[sense[t]] ? 1 : seen[!sense[t]] ? 2 : 0); /* 2: the other of a pair */
             pairs += drop[t] == 2;
             kept += drop[t] != 1;
@@ -10642,7 +10685,7 @@ static sfem_status sfemi_repair_doubled(sfemi_repair *m)
     m->n = i;
 done:
     sfemi_delete(&m->a, key);
-    sfemi_delete(&m->a, order);
+    sfemi_groups_free(&same);
     sfemi_delete(&m->a, drop);
     sfemi_delete(&m->a, sense);
     return status;
@@ -10670,30 +10713,26 @@ static sfem_status sfemi_repair_join(sfemi_repair *m)
 {
     sfem_status status = SFEM_OK;
     sfem_error *err = m->err;
-    sfem_int *key = NULL, *order = NULL, edges = 3 * m->n, i, j;
-    SFEMI_NEW(sfem_int, key, &m->a, 2 * (size_t)edges);
-    for (i = 0; i < edges; ++i) {
-        const sfem_int p = m->tri[i], q = m->tri[i % 3 == 2 ? i - 2 : i + 1];
-        key[2 * (size_t)i] = p < q ? p : q;
-        key[2 * (size_t)i + 1] = p < q ? q : p;
-    }
-    SFEMI_TRY(sfemi_mesher_order(key, 2, edges, m->s->nodes, &m->a, &order, err));
-    for (i = 0; i < edges; i = j) {
-        for (j = i + 1; j < edges; ++j)
-            if (memcmp(key + 2 * (size_t)order[j], key + 2 * (size_t)order[i], 2 * sizeof *key)) break;
-        m->info->open_edges += j == i + 1;
-        if (j == i + 2) { /* neighbours run along it in opposite directions, or one is reversed */
-            const sfem_int e = order[i], f = order[i + 1];
-            unsigned char odd[2];
-            const sfem_int p = sfemi_repair_root(m, e / 3, odd), q = sfemi_repair_root(m, f / 3, odd + 1);
-            if (p == q) continue; /* a Moebius strip has no orientation: what came first counts */
-            m->parent[p > q ? p : q] = p > q ? q : p;
-            m->odd[p > q ? p : q] = (unsigned char)(odd[0] ^ odd[1] ^ (m->tri[e] == m->tri[f]));
-        }
+    sfemi_groups edge = {&m->a, NULL, NULL, 0};
+    sfem_int i;
+    SFEMI_TRY(sfemi_groups_edges(&edge, m->tri, m->n, m->s->nodes, err));
+    for (i = 0; i < edge.count; ++i) { /* neighbours run along it in opposite directions, or one is reversed */
+        const sfem_int *at = edge.order + edge.start[i], n = edge.start[i + 1] - edge.start[i];
+        unsigned char odd[2], against;
+        sfem_int p, q;
+        m->info->open_edges += n == 1;
+        m->open += n != 2;
+        if (n != 2) continue;
+        p = sfemi_repair_root(m, at[0] / 3, odd);
+        q = sfemi_repair_root(m, at[1] / 3, odd + 1);
+        against = (unsigned char)(odd[0] ^ odd[1] ^ (m->tri[at[0]] == m->tri[at[1]]));
+        m->open += p == q && against; /* a Moebius strip has no orientation: what came first counts */
+        if (p == q) continue;
+        m->parent[p > q ? p : q] = p > q ? q : p;
+        m->odd[p > q ? p : q] = against;
     }
 done:
-    sfemi_delete(&m->a, key);
-    sfemi_delete(&m->a, order);
+    sfemi_groups_free(&edge);
     return status;
 }
 
@@ -10873,31 +10912,37 @@ static sfem_real sfemi_bvh_winding(const sfemi_bvh *tree, const sfem_real p[3])
     return sum / 12.566370614359172;
 }
 
-/* Where the segment a, a + d meets a triangle, from 0 to 1, or -1.                     [Moeller, Trumbore 1997] */
-static sfem_real sfemi_bvh_meet(const sfem_real *corner, const sfem_real a[3], const sfem_real d[3])
+/* A place at which a segment meets a triangle, from 0 to 1, and by what the winding number changes there. */
+typedef struct sfemi_hit {
+    sfem_real t, change;
+} sfemi_hit;
+
+/* Does the segment a, a + d meet a triangle?                                           [Moeller, Trumbore 1997] */
+static int sfemi_bvh_meet(const sfem_real *corner, const sfem_real a[3], const sfem_real d[3], sfemi_hit *hit)
 {
     const sfem_real slack = 1e-9; /* a segment through an edge meets one of the two triangles at least */
-    sfem_real e[3], f[3], p[3], q[3], s[3], det, u, v, t;
+    sfem_real e[3], f[3], p[3], q[3], s[3], det, u, v;
     sfemi_sub3(corner + 3, corner, e);
     sfemi_sub3(corner + 6, corner, f);
     sfemi_cross(d, f, p);
     det = sfemi_dot3(e, p);
-    if (!(fabs(det) > 0)) return -1;
+    if (!(fabs(det) > 0)) return 0;
     sfemi_sub3(a, corner, s);
     u = sfemi_dot3(s, p) / det;
-    if (!(u >= -slack && u <= 1 + slack)) return -1;
+    if (!(u >= -slack && u <= 1 + slack)) return 0;
     sfemi_cross(s, e, q);
     v = sfemi_dot3(d, q) / det;
-    if (!(v >= -slack && u + v <= 1 + slack)) return -1;
-    t = sfemi_dot3(f, q) / det;
-    return t >= 0 && t <= 1 ? t : -1;
+    if (!(v >= -slack && u + v <= 1 + slack)) return 0;
+    hit->t = sfemi_dot3(f, q) / det;
+    hit->change = det > 0 ? 1 : -1;
+    return hit->t >= 0 && hit->t <= 1;
 }
 
 enum { SFEMI_HITS = 16 };
 
-/* The places at which a segment meets triangles, ascending; returns how many, SFEMI_HITS + 1 if too many. */
+/* Where a segment meets triangles, ascending; returns how often, SFEMI_HITS + 1 if too often. */
 static int sfemi_bvh_hits(const sfemi_bvh *tree, const sfem_real a[3], const sfem_real b[3],
-                           sfem_real hit[SFEMI_HITS])
+                           sfemi_hit hit[SFEMI_HITS])
 {
     sfem_real low[3], high[3], d[3];
     sfem_int i = 0, t;
@@ -10910,11 +10955,11 @@ static int sfemi_bvh_hits(const sfemi_bvh *tree, const sfem_real a[3], const sfe
             if (v->box[0][c] > high[c] || v->box[1][c] < low[c]) break;
         i = c < 3 ? v->skip : i + 1;
         for (t = v->first; c == 3 && t < v->first + v->count; ++t) {
-            const sfem_real at = sfemi_bvh_meet(tree->corner + 9 * (size_t)t, a, d);
-            if (at < 0) continue;
+            sfemi_hit one;
+            if (!sfemi_bvh_meet(tree->corner + 9 * (size_t)t, a, d, &one)) continue;
             if (n == SFEMI_HITS) return n + 1;
-            for (k = n++; k > 0 && hit[k - 1] > at; --k) hit[k] = hit[k - 1];
-            hit[k] = at;
+            for (k = n++; k > 0 && hit[k - 1].t > one.t; --k) hit[k] = hit[k - 1];
+            hit[k] = one;
         }
     }
     return n;
@@ -10928,6 +10973,7 @@ typedef struct sfemi_solid {
     void *user;
     sfem_real box[2][3];
     sfem_real volume, area; /* estimates, for the number of tets */
+    int closed;             /* triangles whose winding number is whole: each edge is in two that are oriented alike */
 } sfemi_solid;
 
 /* Above 0 inside. It is below 0 outside of the box, whatever the function says, so that the mesh ends there. */
@@ -10948,60 +10994,31 @@ static void sfemi_solid_between(const sfem_real a[3], const sfem_real b[3], sfem
     for (c = 0; c < 3; ++c) x[c] = a[c] + t * (b[c] - a[c]);
 }
 
-/* Where between a and b the sign changes, for that of a is other than that of b: by halving, to 1/4096. */
+/* Where between a and b the sign changes, for that of a is other than that of b: by halving, to 1/8192. */
 static sfem_real sfemi_solid_halve(const sfemi_solid *s, const sfem_real a[3], const sfem_real b[3], int inside)
 {
-    sfem_real low = 0, high = 1, x[3];
-    int k;
-    for (k = 0; k < 12; ++k) {
-        const sfem_real t = 0.5 * (low + high);
-        sfemi_solid_between(a, b, t, x);
-        if ((sfemi_solid_value(s, x) > 0) == inside)
-            low = t;
-        else
-            high = t;
+    sfem_real low = 0, step, x[3];
+    for (step = 0.5; step > 1.0 / 8192; step *= 0.5) {
+        sfemi_solid_between(a, b, low + step, x);
+        if ((sfemi_solid_value(s, x) > 0) == inside) low += step;
     }
-    return 0.5 * (low + high);
-}
-
-/* The same where the value is continuous: false position, Illinois [Dowell, Jarratt 1971], halving after ten steps. */
-static sfem_real sfemi_solid_zero(const sfemi_solid *s, const sfem_real a[3], const sfem_real b[3])
-{
-    sfem_real low = 0, high = 1, x[3], fa = sfemi_solid_value(s, a), fb = sfemi_solid_value(s, b);
-    int k, side = 0;
-    for (k = 0; k < 24 && high - low > 1e-4; ++k) {
-        const sfem_real t = k < 10 ? low + (high - low) * fa / (fa - fb) : 0.5 * (low + high);
-        sfem_real f;
-        sfemi_solid_between(a, b, t, x);
-        f = sfemi_solid_value(s, x);
-        if (!(fabs(f) > 0)) return t;
-        if ((f > 0) == (fa > 0)) {
-            low = t, fa = f;
-            if (side == 1) fb *= 0.5;
-            side = 1;
-        } else {
-            high = t, fb = f;
-            if (side == -1) fa *= 0.5;
-            side = -1;
-        }
-    }
-    return 0.5 * (low + high);
+    return low + step;
 }
 
 /* The cut of an edge: a place at which it meets a triangle and passes from inside to outside. */
 static sfem_real sfemi_solid_cut(const sfemi_solid *s, const sfem_real a[3], const sfem_real b[3], int inside)
 {
-    sfem_real hit[SFEMI_HITS], x[3];
+    sfemi_hit hit[SFEMI_HITS];
+    sfem_real x[3];
     int n, k;
-    if (s->f) return sfemi_solid_zero(s, a, b);
-    n = sfemi_bvh_hits(&s->tree, a, b, hit);
-    if (n < 1 || n > SFEMI_HITS) return sfemi_solid_halve(s, a, b, inside); /* a hole */
+    n = s->f ? 0 : sfemi_bvh_hits(&s->tree, a, b, hit);
+    if (n < 1 || n > SFEMI_HITS) return sfemi_solid_halve(s, a, b, inside); /* a function, a hole */
     for (k = 0; k < n - 1; ++k) {
-        if (hit[k + 1] - hit[k] < 1e-9) continue;
-        sfemi_solid_between(a, b, 0.5 * (hit[k] + hit[k + 1]), x);
-        if ((sfemi_solid_value(s, x) > 0) != inside) return hit[k];
+        if (hit[k + 1].t - hit[k].t < 1e-9) continue;
+        sfemi_solid_between(a, b, 0.5 * (hit[k].t + hit[k + 1].t), x);
+        if ((sfemi_solid_value(s, x) > 0) != inside) return hit[k].t;
     }
-    return hit[n - 1];
+    return hit[n - 1].t;
 }
 
 /* ---- the lattice: signs, cuts, tets ---- */
@@ -11019,15 +11036,17 @@ typedef struct sfemi_lattice {
     const sfem_allocator *a;
     sfem_error *err;
     int cage;
-    sfem_real h, origin[3];
+    sfem_real h, origin[3], limit; /* limit: of points */
     sfem_int n[3], step[3], points; /* corners along each axis; difference of numbers along each; points in all */
     signed char *sign;              /* [points] 1 inside, -1 outside, 0 moved onto the surface */
     sfem_int *first, *snap;         /* [points] first own cut; cut to which it moved, or -1 */
     sfemi_cut *cut;
     sfem_int cuts;
+    signed char *level; /* [points/2] of graded lattices: of the block that a cell is in; NULL elsewhere */
     unsigned char *mark; /* [points/2][3][4] of a cage's tets: 1 meets a triangle, 2 fills a gap */
     sfem_int *code, tets; /* [tets][4] a point, or -1 - a cut; NULL while they are counted */
     sfem_int *share;     /* [tets] of a cage */
+    sfem_int filled;     /* tets of a cage that fill a gap */
     sfem_int *at;        /* [nodes] the code of each node */
     sfem_mesh mesh;
     int not_finite;
@@ -11058,6 +11077,7 @@ static void sfemi_lattice_free(sfemi_lattice *l)
     sfemi_delete(l->a, l->snap);
     sfemi_delete(l->a, l->cut);
     sfemi_delete(l->a, l->mark);
+    sfemi_delete(l->a, l->level);
     sfemi_delete(l->a, l->code);
     sfemi_delete(l->a, l->share);
     sfemi_delete(l->a, l->at);
@@ -11093,12 +11113,12 @@ static sfem_status sfemi_lattice_lay(sfemi_lattice *l, sfem_real h, sfem_real ph
         n[c] = ceil((s->box[1][c] - s->box[0][c]) / h) + 4;
         points *= n[c];
     }
-    if (!(points <= 268435456.0))
+    if (!(points <= l->limit))
         return sfemi_fail(
             err, SFEM_TOO_LARGE,
-            "edges of %.3g in a box of %.3g x %.3g x %.3g make a lattice of %.2g points, more than 2^28: take "
-            "longer ones, or is there a stray vertex?",
-            h, s->box[1][0] - s->box[0][0], s->box[1][1] - s->box[0][1], s->box[1][2] - s->box[0][2], points);
+            "edges of %.3g in a box of %.3g x %.3g x %.3g make a lattice of %.3g points, more than %.3g: take "
+            "longer edges or more tets, or is there a stray vertex?",
+            h, s->box[1][0] - s->box[0][0], s->box[1][1] - s->box[0][1], s->box[1][2] - s->box[0][2], points, l->limit);
     l->h = h;
     l->points = (sfem_int)(points + 0.5);
     for (c = 0; c < 3; ++c) {
@@ -11232,116 +11252,85 @@ static const sfem_real *sfemi_lattice_at(const sfemi_lattice *l, sfem_int code, 
 }
 
 /* Puts a tet of codes down, right-handed; or counts it. */
-static void sfemi_lattice_put(sfemi_lattice *l, sfem_int a, sfem_int b, sfem_int c, sfem_int d)
+static void sfemi_lattice_put(sfemi_lattice *l, const sfem_int code[4])
 {
     sfem_real x[4][3];
+    const sfem_real *at[4];
     sfem_int *v;
-    int left;
+    int k, left;
     if (l->code) {
-        left = sfemi_volume6(sfemi_lattice_at(l, a, x[0]), sfemi_lattice_at(l, b, x[1]), sfemi_lattice_at(l, c, x[2]),
-                             sfemi_lattice_at(l, d, x[3])) < 0;
+        for (k = 0; k < 4; ++k) at[k] = sfemi_lattice_at(l, code[k], x[k]);
+        left = sfemi_volume6(at[0], at[1], at[2], at[3]) < 0;
         v = l->code + 4 * (size_t)l->tets;
-        v[0] = a;
-        v[1] = b;
-        v[2] = left ? d : c;
-        v[3] = left ? c : d;
+        memcpy(v, code, 4 * sizeof *v);
+        v[2] = code[left ? 3 : 2];
+        v[3] = code[left ? 2 : 3];
     }
     ++l->tets;
 }
 
-/* The point of an edge from inside to p: p itself if it is on the surface, else the cut. */
-static sfem_int sfemi_lattice_end(const sfemi_lattice *l, sfem_int inside, sfem_int p)
-{
-    return l->sign[p] == 0 ? p : -1 - sfemi_lattice_find(l, inside, p);
-}
-
-/* Of the quadrilateral that the cuts of a-d and b-d leave of a face: does the diagonal start at a, rather than at b? It
- * starts at the end of the longer cut edge; where both are of one length, at the point of even indices, so that tets on
- * both sides agree [the parity rule of the paper]. */
-static int sfemi_lattice_diagonal(const sfemi_lattice *l, sfem_int a, sfem_int b, sfem_int d)
+/* Of the cut edges of a tet the longer ones are split first, of those of one length the ones from points of odd indices:
+ * tets on both sides of a face agree on its diagonal [the parity rule of the paper]. */
+static int sfemi_lattice_rank(const sfemi_lattice *l, const sfem_int edge[3])
 {
     sfem_int i[3];
-    if ((a ^ b) & 1) return (int)((a ^ d) & 1);
-    sfemi_lattice_indices(l, a, i);
-    return !((i[0] + i[1] + i[2]) & 1);
+    sfemi_lattice_indices(l, edge[0], i);
+    return 2 * (int)((edge[0] ^ edge[1]) & 1) + !((i[0] + i[1] + i[2]) & 1);
 }
 
-/* A prism as three tets: its top is moved to the bottom corner by corner, in the order given. */
-static void sfemi_lattice_prism(sfemi_lattice *l, const sfem_int top[3], const sfem_int bottom[3], const int order[3])
+/* The cut edges of a tet as point inside, point outside, code of the cut, in the order of splitting. Of a quadrilateral
+ * on the surface, which no other tet shares, the shorter diagonal is taken: it ends at the edge that is split first. */
+static int sfemi_lattice_cut_edges(const sfemi_lattice *l, const sfem_int p[4], sfem_int edge[4][3])
 {
-    sfem_int v[3];
-    int k;
-    memcpy(v, top, sizeof v);
-    for (k = 0; k < 3; ++k) {
-        sfemi_lattice_put(l, v[0], v[1], v[2], bottom[order[k]]);
-        v[order[k]] = bottom[order[k]];
+    int n = 0, i, j, k;
+    for (i = 0; i < 4; ++i)
+        for (j = 0; j < 4; ++j) {
+            const sfem_int one[3] = {p[i], p[j], l->sign[p[i]] > 0 && l->sign[p[j]] < 0 ? -1 - sfemi_lattice_find(l, p[i], p[j]) : 0};
+            if (!one[2]) continue;
+            for (k = n++; k > 0 && sfemi_lattice_rank(l, edge[k - 1]) > sfemi_lattice_rank(l, one); --k)
+                memcpy(edge[k], edge[k - 1], sizeof one);
+            memcpy(edge[k], one, sizeof one);
+        }
+    if (n == 4 && edge[0][0] == edge[1][0]) {
+        const int same = edge[2][1] == edge[0][1]; /* edges 0 and 2 end in one point */
+        sfem_real u[3], v[3];
+        sfemi_sub3(l->cut[-1 - edge[0][2]].x, l->cut[-1 - edge[same ? 3 : 2][2]].x, u);
+        sfemi_sub3(l->cut[-1 - edge[1][2]].x, l->cut[-1 - edge[same ? 2 : 3][2]].x, v);
+        if (sfemi_dot3(v, v) < sfemi_dot3(u, u))
+            for (k = 0; k < 3; ++k) {
+                const sfem_int swap = edge[0][k];
+                edge[0][k] = edge[1][k];
+                edge[1][k] = swap;
+            }
     }
+    return n;
 }
 
-/* Points a and b inside, c and d outside: a prism between the triangles a, ac, ad and b, bc, bd. */
-static void sfemi_lattice_two_inside(sfemi_lattice *l, sfem_int a, sfem_int b, sfem_int c, sfem_int d)
-{
-    sfem_int top[3], bottom[3];
-    sfem_real x[3], y[3], u[3], v[3];
-    const int from_b_c = sfemi_lattice_diagonal(l, b, a, c), from_b_d = sfemi_lattice_diagonal(l, b, a, d);
-    int order[3] = {0, 1, 2}; /* i before j: the diagonal from bottom i to top j */
-    top[0] = a, top[1] = sfemi_lattice_end(l, a, c), top[2] = sfemi_lattice_end(l, a, d);
-    bottom[0] = b, bottom[1] = sfemi_lattice_end(l, b, c), bottom[2] = sfemi_lattice_end(l, b, d);
-    if (from_b_c != from_b_d) {
-        order[0] = from_b_c ? 2 : 1, order[1] = 0, order[2] = from_b_c ? 1 : 2;
-    } else { /* the face on the surface is this prism's own: its shorter diagonal */
-        int swap;
-        sfemi_sub3(sfemi_lattice_at(l, bottom[1], x), sfemi_lattice_at(l, top[2], y), u);
-        sfemi_sub3(sfemi_lattice_at(l, bottom[2], x), sfemi_lattice_at(l, top[1], y), v);
-        swap = sfemi_dot3(v, v) < sfemi_dot3(u, u);
-        order[0] = from_b_c ? 0 : swap ? 2 : 1;
-        order[1] = from_b_c ? (swap ? 2 : 1) : swap ? 1 : 2;
-        order[2] = from_b_c ? (swap ? 1 : 2) : 0;
-    }
-    sfemi_lattice_prism(l, top, bottom, order);
-}
-
-/* Three inside, d outside: a prism between the cuts and a, b, c. */
-static void sfemi_lattice_three_inside(sfemi_lattice *l, const sfem_int in[3], sfem_int d)
-{
-    sfem_int top[3];
-    int order[3] = {0, 0, 0}, rank, i, j;
-    for (i = 0; i < 3; ++i) {
-        top[i] = sfemi_lattice_end(l, in[i], d);
-        for (rank = 0, j = 0; j < 3; ++j)
-            if (j != i) rank += sfemi_lattice_diagonal(l, in[j], in[i], d);
-        order[rank] = i;
-    }
-    sfemi_lattice_prism(l, top, in, order);
-}
-
-/* What of a lattice tet is inside: the stencils of the paper, by the number of points inside and outside. */
+/* What of a lattice tet is inside: it is halved at its cut edges, one after the other, and of the parts those without a
+ * point outside are taken. This gives the stencils of the paper. */
 static void sfemi_lattice_stencil(sfemi_lattice *l, const sfem_int p[4])
 {
-    sfem_int in[4], on[4], out[4], cut[4];
-    int ins = 0, ons = 0, outs = 0, k;
-    for (k = 0; k < 4; ++k) {
-        if (l->sign[p[k]] > 0) in[ins++] = p[k];
-        if (l->sign[p[k]] == 0) on[ons++] = p[k];
-        if (l->sign[p[k]] < 0) out[outs++] = p[k];
-    }
-    if (ins == 0) return;
-    if (outs == 0) {
-        sfemi_lattice_put(l, p[0], p[1], p[2], p[3]);
-    } else if (ins == 1) {
-        for (k = 0; k < ons; ++k) cut[k] = on[k];
-        for (k = 0; k < outs; ++k) cut[ons + k] = sfemi_lattice_end(l, in[0], out[k]);
-        sfemi_lattice_put(l, in[0], cut[0], cut[1], cut[2]);
-    } else if (ins == 3) {
-        sfemi_lattice_three_inside(l, in, out[0]);
-    } else if (outs == 2) {
-        sfemi_lattice_two_inside(l, in[0], in[1], out[0], out[1]);
-    } else { /* a pyramid: two tets with the point on the surface */
-        const int from_a = sfemi_lattice_diagonal(l, in[0], in[1], out[0]);
-        cut[0] = sfemi_lattice_end(l, in[0], out[0]);
-        cut[1] = sfemi_lattice_end(l, in[1], out[0]);
-        sfemi_lattice_put(l, on[0], in[0], in[1], cut[from_a ? 1 : 0]);
-        sfemi_lattice_put(l, on[0], in[from_a ? 0 : 1], cut[1], cut[0]);
+    sfem_int tet[16][4], edge[4][3];
+    int inside = 0, n = 1, cuts, parts, e, t, k;
+    for (k = 0; k < 4; ++k) inside += l->sign[p[k]] > 0;
+    if (!inside) return;
+    memcpy(tet[0], p, sizeof tet[0]);
+    cuts = sfemi_lattice_cut_edges(l, p, edge);
+    for (e = 0; e < cuts; ++e)
+        for (parts = n, t = 0; t < parts; ++t) {
+            int in = -1, out = -1;
+            for (k = 0; k < 4; ++k) {
+                if (tet[t][k] == edge[e][0]) in = k;
+                if (tet[t][k] == edge[e][1]) out = k;
+            }
+            if (in < 0 || out < 0) continue;
+            memcpy(tet[n], tet[t], sizeof tet[t]);
+            tet[n++][in] = edge[e][2];
+            tet[t][out] = edge[e][2];
+        }
+    for (t = 0; t < n; ++t) {
+        for (k = 0; k < 4 && (tet[t][k] < 0 || l->sign[tet[t][k]] >= 0);) ++k;
+        if (k == 4) sfemi_lattice_put(l, tet[t]);
     }
 }
 
@@ -11356,21 +11345,130 @@ static void sfemi_lattice_tet(const sfemi_lattice *l, sfem_int p, int axis, int 
     v[3] = q[m + 1];
 }
 
-/* Calls one(l, v, at) for each tet of the lattice, at being its place in mark. */
+static int sfemi_lattice_level(const sfemi_lattice *l, sfem_int cell)
+{
+    return l->level && l->level[cell] > 0 ? l->level[cell] : 0;
+}
+
+/* Is a point of the lattice's corners a vertex of a block smaller than level k? */
+static int sfemi_lattice_finer(const sfemi_lattice *l, sfem_int p, int k)
+{
+    int c;
+    for (c = 0; c < 8 && k > 0; ++c) {
+        const sfem_int back = (c & 1 ? l->step[0] : 0) + (c & 2 ? l->step[1] : 0) + (c & 4 ? l->step[2] : 0);
+        if (sfemi_lattice_level(l, (p - back) / 2) < k) return 1;
+    }
+    return 0;
+}
+
+/* Calls one(l, v, at) for the tets of the block of level k from corner i on, at being the place in mark. Across each of
+ * its faces, next to a block
+ *   of the same size   a tet of the lattice for each edge of the face, between the centres of both;
+ *   of smaller ones    to the middle of the face in place of the other centre;
+ *   of a larger one    two half pyramids, cut at the diagonal to the middle of the larger face.
+ * An edge that smaller blocks halve, halves its tets [Labelle, Shewchuk 2007, section 3.4]. */
+static void sfemi_lattice_block(sfemi_lattice *l, const sfem_int i[3], int k,
+                                void (*one)(sfemi_lattice *l, const sfem_int v[4], size_t at))
+{
+    const sfem_int n = 1 << k, corner = 2 * ((i[0] * l->n[1] + i[1]) * l->n[2] + i[2]);
+    const sfem_int centre = k ? corner + n / 2 * (l->step[0] + l->step[1] + l->step[2]) : corner + 1;
+    int face, m;
+    for (face = 0; face < 6; ++face) {
+        const int axis = face / 2, ahead = face % 2, iu = (axis + 1) % 3, iw = (axis + 2) % 3;
+        const sfem_int u = n * l->step[iu], w = n * l->step[iw], next = i[axis] + (ahead ? n : -1);
+        const sfem_int base = corner + (ahead ? n * l->step[axis] : 0);
+        const sfem_int ring[6] = {base, base + u, base + u + w, base + w, base, base + u};
+        const size_t at = ((size_t)(corner / 2) * 3 + (size_t)axis) * 4;
+        int other;
+        if (next < 0 || next >= l->n[axis] - 1) continue;
+        other = sfemi_lattice_level(l, corner / 2 + (next - i[axis]) * (l->step[axis] / 2));
+        for (m = 0; m < 4; ++m) {
+            const sfem_int a = ring[m], b = ring[m + 1], half = a + (b - a) / 2;
+            const sfem_int end = other < k ? base + (u + w) / 2 : centre + n * l->step[axis];
+            const int odd = ((i[iu] >> k) + (m == 1 || m == 2)) & ((i[iw] >> k) + (m > 1)) & 1; /* a is the middle */
+            const sfem_int whole[4] = {centre, end, a, b}, first[4] = {centre, end, a, half};
+            const sfem_int second[4] = {centre, end, half, b};
+            const sfem_int left[4] = {centre, a, b, ring[(m + 2) % 4]};
+            const sfem_int right[4] = {centre, a, ring[(m + 2) % 4], ring[(m + 3) % 4]};
+            if (other == k && !ahead) continue; /* they are the other block's */
+            if (other > k && !odd) continue;
+            if (other > k) {
+                one(l, left, at);
+                one(l, right, at);
+            } else if (other < k || sfemi_lattice_finer(l, half, k)) {
+                one(l, first, at + (size_t)m);
+                one(l, second, at + (size_t)m);
+            } else
+                one(l, whole, at + (size_t)m);
+        }
+    }
+}
+
+/* The same for all blocks. */
 static void sfemi_lattice_each(sfemi_lattice *l, void (*one)(sfemi_lattice *l, const sfem_int v[4], size_t at))
 {
-    sfem_int i[3], v[4];
-    int axis, m;
+    sfem_int i[3];
     for (i[0] = 0; i[0] < l->n[0] - 1; ++i[0])
         for (i[1] = 0; i[1] < l->n[1] - 1; ++i[1])
             for (i[2] = 0; i[2] < l->n[2] - 1; ++i[2]) {
-                const sfem_int p = 2 * ((i[0] * l->n[1] + i[1]) * l->n[2] + i[2]) + 1;
-                for (axis = 0; axis < 3; ++axis)
-                    for (m = 0; m < 4 && i[axis] < l->n[axis] - 2; ++m) {
-                        sfemi_lattice_tet(l, p, axis, m, v);
-                        one(l, v, ((size_t)(p / 2) * 3 + (size_t)axis) * 4 + (size_t)m);
-                    }
+                const int k = sfemi_lattice_level(l, (i[0] * l->n[1] + i[1]) * l->n[2] + i[2]);
+                if (!((i[0] | i[1] | i[2]) & ((1 << k) - 1))) sfemi_lattice_block(l, i, k, one);
             }
+}
+
+/* The level of a cell, before blocks: 0 where its points and the centres of the next cells are inside, so that its centre
+ * stays where it is, and no triangle meets its tets; else -1. */
+static signed char sfemi_lattice_filled(const sfemi_lattice *l, sfem_int cell)
+{
+    const sfem_int p = 2 * cell + 1;
+    sfem_int to[11];
+    int k, filled = l->sign[p] > 0;
+    sfemi_lattice_edges(l, p, to);
+    for (k = 0; k < 11 && filled; ++k) filled = to[k] < l->points && l->sign[to[k]] > 0;
+    for (k = 0; k < 3 && filled; ++k) filled = p >= l->step[k] && l->sign[p - l->step[k]] > 0;
+    for (k = 0; k < 12 && filled && l->cage; ++k) filled = !l->mark[12 * (size_t)cell + (size_t)k];
+    return (signed char)(filled ? 0 : -1);
+}
+
+/* Do all cells of the block of 2^k from corner i on, and half a block round it, have levels of k - 1 at least? */
+static int sfemi_lattice_deep(const sfemi_lattice *l, const sfem_int i[3], int k)
+{
+    const sfem_int n = 1 << k;
+    sfem_int j[3];
+    int c;
+    for (c = 0; c < 3; ++c)
+        if (i[c] + n + n / 2 > l->n[c] - 1) return 0;
+    for (j[0] = i[0] - n / 2; j[0] < i[0] + n + n / 2; j[0] += n / 2)
+        for (j[1] = i[1] - n / 2; j[1] < i[1] + n + n / 2; j[1] += n / 2)
+            for (j[2] = i[2] - n / 2; j[2] < i[2] + n + n / 2; j[2] += n / 2)
+                if (l->level[(j[0] * l->n[1] + j[1]) * l->n[2] + j[2]] < k - 1) return 0;
+    return 1;
+}
+
+/* Joins cells to blocks of 2, 4, .. each way, level by level: next to a block are such of its level or one less. Around
+ * it is a layer of cells at least all of whose points are inside: only tets of single cells are cut or moved. */
+static sfem_status sfemi_lattice_grade(sfemi_lattice *l, int levels)
+{
+    sfem_status status = SFEM_OK;
+    sfem_error *err = l->err;
+    sfem_int i[3], j[3], cell;
+    int k;
+    SFEMI_NEW(signed char, l->level, l->a, l->points / 2);
+    for (cell = 0; cell < l->points / 2; ++cell) l->level[cell] = sfemi_lattice_filled(l, cell);
+    for (k = 1; k <= levels; ++k) {
+        const sfem_int n = 1 << k;
+        for (i[0] = n; i[0] < l->n[0] - n; i[0] += n)
+            for (i[1] = n; i[1] < l->n[1] - n; i[1] += n)
+                for (i[2] = n; i[2] < l->n[2] - n; i[2] += n) {
+                    if (!sfemi_lattice_deep(l, i, k)) continue;
+                    for (j[0] = i[0]; j[0] < i[0] + n; ++j[0])
+                        for (j[1] = i[1]; j[1] < i[1] + n; ++j[1])
+                            for (j[2] = i[2]; j[2] < i[2] + n; ++j[2])
+                                l->level[(j[0] * l->n[1] + j[1]) * l->n[2] + j[2]] = (signed char)k;
+                }
+    }
+done:
+    return status;
 }
 
 static void sfemi_lattice_fit(sfemi_lattice *l, const sfem_int v[4], size_t at)
@@ -11474,13 +11572,12 @@ static int sfemi_cage_meets(sfem_real tri[3][3], sfem_real tet[4][3])
 }
 
 /* Marks the tets that a triangle meets, among those whose boxes it meets; all in cells, from the lattice's origin. */
-static void sfemi_cage_triangle(sfemi_lattice *l, const sfem_real *corner)
+static void sfemi_cage_mark(sfemi_lattice *l, sfem_real tri[3][3])
 {
-    sfem_real tri[3][3], tet[4][3], low[3], high[3];
+    sfem_real tet[4][3], low[3], high[3];
     sfem_int i[3], from[3], to[3], v[4];
     int axis, c, k, m;
     for (c = 0; c < 3; ++c) {
-        for (k = 0; k < 3; ++k) tri[k][c] = (corner[3 * k + c] - l->origin[c]) / l->h;
         low[c] = fmin(tri[0][c], fmin(tri[1][c], tri[2][c])) - 1e-9;
         high[c] = fmax(tri[0][c], fmax(tri[1][c], tri[2][c])) + 1e-9;
     }
@@ -11509,6 +11606,41 @@ static void sfemi_cage_triangle(sfemi_lattice *l, const sfem_real *corner)
     }
 }
 
+/* The same in parts of two cells at most, of which the boxes hold few tets: a long triangle is halved at its longest
+ * edge. The depth is below 2 log2 of its length in cells. */
+static void sfemi_cage_triangle(sfemi_lattice *l, sfem_real tri[3][3])
+{
+    sfem_real half[3][3], d[3], longest = 4, length;
+    int k, at = -1;
+    for (k = 0; k < 3; ++k) {
+        sfemi_sub3(tri[(k + 1) % 3], tri[k], d);
+        length = sfemi_dot3(d, d);
+        if (length > longest) longest = length, at = k;
+    }
+    if (at < 0) {
+        sfemi_cage_mark(l, tri);
+        return;
+    }
+    for (k = 0; k < 2; ++k) { /* the middle in place of one end, then of the other */
+        memcpy(half, tri, sizeof half);
+        sfemi_solid_between(tri[at], tri[(at + 1) % 3], 0.5, half[(at + k) % 3]);
+        sfemi_cage_triangle(l, half);
+    }
+}
+
+/* Marks the tets that triangles of the surface meet. */
+static void sfemi_cage_surface(sfemi_lattice *l)
+{
+    const sfemi_bvh *tree = &l->solid->tree;
+    sfem_real tri[3][3];
+    size_t k;
+    int c;
+    for (k = 0; k < 3 * (size_t)tree->triangles; ++k) {
+        for (c = 0; c < 3; ++c) tri[k % 3][c] = (tree->corner[3 * k + (size_t)c] - l->origin[c]) / l->h;
+        if (k % 3 == 2) sfemi_cage_triangle(l, tri);
+    }
+}
+
 static int sfemi_cage_inside(const sfemi_lattice *l, const sfem_int v[4])
 {
     int k, n = 0;
@@ -11516,31 +11648,51 @@ static int sfemi_cage_inside(const sfemi_lattice *l, const sfem_int v[4])
     return n;
 }
 
-/* Points of a tet that are inside, of SFEM_CAGE_LEVELS, those from number `from` on of a sequence that fills the unit
- * cube evenly [Roberts 2018] and is folded into the tet [Rocchini, Cignoni 2000]. Where no triangle lies between a
- * point and the one before, and the winding number there was clear, which it is not in a hole, it is not asked
- * again. */
-static sfem_int sfemi_cage_share(const sfemi_solid *s, sfem_real p[4][3], size_t from)
+/* What of the chord from a to b lies inside, weighted by 3 t^2, for a winding number w at a. Each triangle of a closed
+ * surface changes it by 1 or -1; else it is asked in the middle of each part, of which a function has four. */
+static sfem_real sfemi_cage_chord(const sfemi_solid *s, const sfem_real a[3], const sfem_real b[3], sfem_real w)
 {
-    sfem_real x[3], last[3] = {0, 0, 0}, hit[SFEMI_HITS], value = 0;
-    sfem_int n = 0;
-    int k, c;
-    for (k = 0; k < SFEM_CAGE_LEVELS; ++k) {
-        const sfem_real i = (sfem_real)((from + (size_t)k) % 1000000) + 0.5;
-        sfem_real u = fmod(i * 0.8191725133961645, 1.0), v = fmod(i * 0.6710436067037893, 1.0);
-        sfem_real w = fmod(i * 0.5497004779019703, 1.0), old = w;
-        if (u + v > 1) u = 1 - u, v = 1 - v;
-        if (v + w > 1)
-            w = 1 - u - v, v = 1 - old;
-        else if (u + v + w > 1)
-            w = u + v + w - 1, u = 1 - v - old;
-        for (c = 0; c < 3; ++c) x[c] = (1 - u - v - w) * p[0][c] + u * p[1][c] + v * p[2][c] + w * p[3][c];
-        if (s->f || k == 0 || fabs(value) < 0.25 || sfemi_bvh_hits(&s->tree, last, x, hit))
-            value = sfemi_solid_value(s, x);
-        memcpy(last, x, sizeof x);
-        n += value > 0;
+    sfemi_hit hit[SFEMI_HITS + 1];
+    sfem_real sum = 0, x[3], t = 0;
+    int n = s->f ? SFEMI_HITS + 1 : sfemi_bvh_hits(&s->tree, a, b, hit), k;
+    const int ask = n > SFEMI_HITS || !s->closed;
+    if (n > SFEMI_HITS)
+        for (n = 0; n < 3; ++n) hit[n].t = 0.25 * (n + 1);
+    for (k = 0; k <= n; ++k) {
+        const sfem_real end = k < n ? hit[k].t : 1;
+        sfemi_solid_between(a, b, 0.5 * (t + end), x);
+        if (ask ? sfemi_solid_value(s, x) > 0 : fabs(w) > 0.5) sum += end * end * end - t * t * t;
+        if (!ask && k < n) w += hit[k].change;
+        t = end;
     }
-    return n;
+    return sum;
+}
+
+/* The share of a tet that is inside, from chords between a corner and points of the face opposite to it. Points on a
+ * chord at t stand for a volume that grows with t^2, so that the sum has the right mean for a body of any shape; and
+ * as the chords are cut at triangles exactly, a plate that is thin beside the tet is met by most of them. The points
+ * of the faces are those from number `from` on of a sequence that fills the unit square evenly [Roberts 2018], folded
+ * into the triangle. Chords begin beside the corner, which may lie in a triangle. */
+enum { SFEMI_CAGE_CHORDS = 8 }; /* of each corner */
+
+static sfem_real sfemi_cage_share(const sfemi_solid *s, sfem_real p[4][3], size_t from)
+{
+    sfem_real a[3], x[3], w = 0, sum = 0;
+    int corner, k, c;
+    for (corner = 0; corner < 4; ++corner) {
+        const sfem_real *q[3];
+        for (k = 0; k < 3; ++k) q[k] = p[sfemi_mesh_face[corner][k]];
+        for (c = 0; c < 3; ++c) a[c] = p[corner][c] + 1e-6 * (q[0][c] + 2 * q[1][c] + 3 * q[2][c] - 6 * p[corner][c]);
+        if (s->closed) w = sfemi_bvh_winding(&s->tree, a);
+        for (k = 0; k < SFEMI_CAGE_CHORDS; ++k) {
+            const sfem_real at = (sfem_real)((SFEMI_CAGE_CHORDS * (4 * from + (size_t)corner) + (size_t)k) % 1000000) + 0.5;
+            sfem_real u = fmod(at * 0.7548776662466927, 1.0), v = fmod(at * 0.5698402909980532, 1.0);
+            if (u + v > 1) u = 1 - u, v = 1 - v;
+            for (c = 0; c < 3; ++c) x[c] = (1 - u - v) * q[0][c] + u * q[1][c] + v * q[2][c];
+            sum += sfemi_cage_chord(s, a, x, w);
+        }
+    }
+    return sum / (4 * SFEMI_CAGE_CHORDS);
 }
 
 /* Of a function: do points of the tet lie inside, although its corners do not? Only asked next to the body. */
@@ -11548,9 +11700,10 @@ static void sfemi_cage_probe(sfemi_lattice *l, const sfem_int v[4], size_t at)
 {
     static const int side[6] = {1, -1, 1, -1, 1, -1};
     sfem_real x[4][3];
+    const int inside = sfemi_cage_inside(l, v);
     int k, c, near = 0;
-    if (sfemi_cage_inside(l, v)) {
-        l->mark[at] = 1;
+    if (inside) {
+        l->mark[at] = inside < 4;
         return;
     }
     for (k = 0; k < 4 && !near; ++k)
@@ -11567,43 +11720,17 @@ static void sfemi_lattice_enclose(sfemi_lattice *l, const sfem_int v[4], size_t 
     const int n = sfemi_cage_inside(l, v);
     if (!l->mark[at] && !n) return;
     if (l->code) l->share[l->tets] = l->mark[at] || n < 4 ? -1 : SFEM_CAGE_LEVELS;
-    sfemi_lattice_put(l, v[0], v[1], v[2], v[3]);
+    sfemi_lattice_put(l, v);
 }
 
-/* Marks a tet that has both points, a new one; returns whether it is. */
-static int sfemi_cage_fill_tet(sfemi_lattice *l, sfem_int p, int axis, int m, const sfem_int ends[2])
+/* Marks a tet that has two of the points at which parts meet in an edge only: that fills the gap there. */
+static void sfemi_cage_fill(sfemi_lattice *l, const sfem_int v[4], size_t at)
 {
-    const size_t at = ((size_t)(p / 2) * 3 + (size_t)axis) * 4 + (size_t)m;
-    sfem_int v[4];
-    int k, found = 0;
-    sfemi_lattice_tet(l, p, axis, m, v);
-    for (k = 0; k < 4; ++k) found += v[k] == ends[0] || v[k] == ends[1];
-    if (found < 2 || l->mark[at] || sfemi_cage_inside(l, v)) return 0;
+    int k, n = 0;
+    for (k = 0; k < 4; ++k) n += l->snap[v[k]] == 0;
+    if (n < 2 || l->mark[at] || sfemi_cage_inside(l, v)) return;
     l->mark[at] = 2;
-    return 1;
-}
-
-/* Marks all tets round the edge of two points, which fills the gap there. Returns how many are new. */
-static sfem_int sfemi_cage_fill(sfemi_lattice *l, sfem_int a, sfem_int b)
-{
-    const sfem_int ends[2] = {a, b};
-    sfem_int i[3], from[3], to[3], j[3], added = 0;
-    int axis, m, c;
-    sfemi_lattice_indices(l, a, i);
-    for (axis = 0; axis < 3; ++axis) {
-        for (c = 0; c < 3; ++c) { /* cells next to the point, as far as the lattice has tets along this axis */
-            const sfem_int last = l->n[c] - (c == axis ? 3 : 2);
-            from[c] = i[c] < 2 ? 0 : i[c] - 2;
-            to[c] = i[c] + 1 < last ? i[c] + 1 : last;
-        }
-        for (j[0] = from[0]; j[0] <= to[0]; ++j[0])
-            for (j[1] = from[1]; j[1] <= to[1]; ++j[1])
-                for (j[2] = from[2]; j[2] <= to[2]; ++j[2])
-                    for (m = 0; m < 4; ++m)
-                        added +=
-                            sfemi_cage_fill_tet(l, 2 * ((j[0] * l->n[1] + j[1]) * l->n[2] + j[2]) + 1, axis, m, ends);
-    }
-    return added;
+    ++l->filled;
 }
 
 /* ---- from tets of the lattice to a mesh ---- */
@@ -11676,9 +11803,9 @@ typedef struct sfemi_manifold {
     sfem_int *root;   /* [tets][4] corners of one node that are connected by faces: their lowest, by union-find */
     sfem_int *number; /* [tets][4] node of the corner, once these are separated */
     sfem_int nodes;   /* so many then */
-    sfem_int *edge;   /* [edges] corners of faces, 3 (4 tet + face) + side, whose edges are in more than two triangles
-                       * */
-    sfem_int edges;
+    sfem_int *face;   /* [triangles] the faces on the surface, as 4 tet + face */
+    sfemi_groups edge; /* their edges, by the new nodes, of which */
+    sfem_int bad;     /* so many are not in two triangles */
 } sfemi_manifold;
 
 static void sfemi_manifold_free(sfemi_manifold *p)
@@ -11686,7 +11813,8 @@ static void sfemi_manifold_free(sfemi_manifold *p)
     sfemi_delete(p->a, p->mate);
     sfemi_delete(p->a, p->root);
     sfemi_delete(p->a, p->number);
-    sfemi_delete(p->a, p->edge);
+    sfemi_delete(p->a, p->face);
+    sfemi_groups_free(&p->edge);
 }
 
 static sfem_status sfemi_manifold_mates(sfemi_manifold *p)
@@ -11694,22 +11822,24 @@ static sfem_status sfemi_manifold_mates(sfemi_manifold *p)
     sfem_status status = SFEM_OK;
     sfem_error *err = p->err;
     const sfem_int faces = 4 * p->m->tets;
-    sfem_int *key = NULL, *order = NULL, i;
+    sfemi_groups same = {p->a, NULL, NULL, 0};
+    sfem_int *key = NULL, i;
     SFEMI_NEW(sfem_int, p->mate, p->a, (size_t)faces + 1);
     SFEMI_NEW(sfem_int, key, p->a, 3 * (size_t)faces);
     for (i = 0; i < faces; ++i) {
         sfemi_mesh_face_key(p->m->tet + (size_t)(i & ~3), i & 3, key + 3 * (size_t)i);
         p->mate[i] = -1;
     }
-    SFEMI_TRY(sfemi_mesher_order(key, 3, faces, p->m->nodes, p->a, &order, err));
-    for (i = 0; i + 1 < faces; ++i) {
-        if (memcmp(key + 3 * (size_t)order[i], key + 3 * (size_t)order[i + 1], 3 * sizeof *key)) continue;
-        p->mate[order[i]] = order[i + 1];
-        p->mate[order[i + 1]] = order[i];
+    SFEMI_TRY(sfemi_groups_make(&same, key, 3, faces, p->m->nodes, err));
+    for (i = 0; i < same.count; ++i) {
+        const sfem_int *at = same.order + same.start[i];
+        if (same.start[i + 1] - same.start[i] < 2) continue;
+        p->mate[at[0]] = at[1];
+        p->mate[at[1]] = at[0];
     }
 done:
     sfemi_delete(p->a, key);
-    sfemi_delete(p->a, order);
+    sfemi_groups_free(&same);
     return status;
 }
 
@@ -11760,47 +11890,41 @@ done:
     return status;
 }
 
-/* The edges that are in more than two triangles of the surface, by the new numbers: one entry for each triangle. */
+/* The edges of the surface by the new numbers, and how many of them are in more than two triangles. */
 static sfem_status sfemi_manifold_edges(sfemi_manifold *p)
 {
     sfem_status status = SFEM_OK;
     sfem_error *err = p->err;
-    const sfem_int faces = 4 * p->m->tets;
-    sfem_int *key = NULL, *side = NULL, *order = NULL, n = 0, f, i, j, k;
-    for (f = 0; f < faces; ++f) n += p->mate[f] < 0;
-    n *= 3;
-    SFEMI_NEW(sfem_int, key, p->a, 2 * (size_t)n + 1);
-    SFEMI_NEW(sfem_int, side, p->a, (size_t)n + 1);
-    SFEMI_NEW(sfem_int, p->edge, p->a, (size_t)n + 1);
-    for (n = 0, f = 0; f < faces; ++f)
-        for (k = 0; k < 3 && p->mate[f] < 0; ++k) {
-            const unsigned char *v = sfemi_mesh_face[f & 3];
-            const sfem_int a = p->number[(f & ~3) + v[k]], b = p->number[(f & ~3) + v[(k + 1) % 3]];
-            key[2 * (size_t)n] = a < b ? a : b;
-            key[2 * (size_t)n + 1] = a < b ? b : a;
-            side[n++] = 3 * f + k;
-        }
-    SFEMI_TRY(sfemi_mesher_order(key, 2, n, p->nodes, p->a, &order, err));
-    for (i = 0; i < n; i = j) {
-        for (j = i + 1; j < n; ++j)
-            if (memcmp(key + 2 * (size_t)order[j], key + 2 * (size_t)order[i], 2 * sizeof *key)) break;
-        if (j == i + 2) continue;
-        for (k = i; k < j; ++k) p->edge[p->edges++] = side[order[k]];
+    sfem_int *tri = NULL, n = 0, f, k;
+    for (f = 0; f < 4 * p->m->tets; ++f) n += p->mate[f] < 0;
+    SFEMI_NEW(sfem_int, tri, p->a, 3 * (size_t)n + 1);
+    SFEMI_NEW(sfem_int, p->face, p->a, (size_t)n + 1);
+    for (n = 0, f = 0; f < 4 * p->m->tets; ++f) {
+        if (p->mate[f] >= 0) continue;
+        for (k = 0; k < 3; ++k) tri[3 * (size_t)n + (size_t)k] = p->number[(f & ~3) + sfemi_mesh_face[f & 3][k]];
+        p->face[n++] = f;
     }
+    p->edge.a = p->a;
+    SFEMI_TRY(sfemi_groups_edges(&p->edge, tri, n, p->nodes, err));
+    for (k = 0; k < p->edge.count; ++k) p->bad += p->edge.start[k + 1] - p->edge.start[k] != 2;
 done:
-    sfemi_delete(p->a, key);
-    sfemi_delete(p->a, side);
-    sfemi_delete(p->a, order);
+    sfemi_delete(p->a, tri);
     return status;
 }
 
+/* The corner of a tet, as 4 tet + corner, from which an edge of the surface starts, or at which it ends. */
+static sfem_int sfemi_manifold_corner(const sfemi_manifold *p, sfem_int edge, int end)
+{
+    const sfem_int f = p->face[edge / 3];
+    return (f & ~3) + sfemi_mesh_face[f & 3][(edge + end) % 3];
+}
+
 /* From a face on the surface through the tets round one of its edges to the surface again: how many; marks them. */
-static sfem_int sfemi_manifold_wedge(const sfemi_manifold *p, sfem_int side, unsigned char *dead)
+static sfem_int sfemi_manifold_wedge(const sfemi_manifold *p, sfem_int edge, unsigned char *dead)
 {
     const sfem_int *tet = p->m->tet;
-    sfem_int f = side / 3, n = 0, a, b, k;
-    a = tet[(f & ~3) + sfemi_mesh_face[f & 3][side % 3]];
-    b = tet[(f & ~3) + sfemi_mesh_face[f & 3][(side + 1) % 3]];
+    const sfem_int a = tet[sfemi_manifold_corner(p, edge, 0)], b = tet[sfemi_manifold_corner(p, edge, 1)];
+    sfem_int f = p->face[edge / 3], n = 0, k;
     while (f >= 0) {
         ++n;
         if (dead) dead[f / 4] = 1;
@@ -11819,20 +11943,15 @@ static sfem_status sfemi_manifold_cut(sfemi_manifold *p, sfem_int *count)
     sfem_status status = SFEM_OK;
     sfem_error *err = p->err;
     unsigned char *dead = NULL;
-    const sfem_int *tet = p->m->tet;
+    const sfem_int *tet = p->m->tet, *start = p->edge.start;
     sfem_int i, j, t, n = 0;
     SFEMI_NEW(unsigned char, dead, p->a, p->m->tets);
-    for (i = 0; i < p->edges; i = j) {
-        sfem_int least = INT32_MAX, best = p->edge[i], low[2], high[2];
-        for (j = i; j < p->edges; ++j) {
-            const sfem_int f = p->edge[j] / 3, k = p->edge[j] % 3, at = j > i;
-            const sfem_int a = p->number[(f & ~3) + sfemi_mesh_face[f & 3][k]];
-            const sfem_int b = p->number[(f & ~3) + sfemi_mesh_face[f & 3][(k + 1) % 3]];
-            const sfem_int size = sfemi_manifold_wedge(p, p->edge[j], NULL);
-            low[at] = a < b ? a : b;
-            high[at] = a < b ? b : a;
-            if (at && (low[0] != low[1] || high[0] != high[1])) break;
-            if (size < least) least = size, best = p->edge[j];
+    for (i = 0; i < p->edge.count; ++i) {
+        sfem_int least = INT32_MAX, best = 0;
+        if (start[i + 1] - start[i] == 2) continue;
+        for (j = start[i]; j < start[i + 1]; ++j) {
+            const sfem_int size = sfemi_manifold_wedge(p, p->edge.order[j], NULL);
+            if (size < least) least = size, best = p->edge.order[j];
         }
         sfemi_manifold_wedge(p, best, dead);
     }
@@ -11874,7 +11993,8 @@ static sfem_status sfemi_lattice_mesh(sfemi_lattice *l, sfem_mesher_info *info)
 {
     sfem_status status;
     sfemi_manifold p;
-    sfem_int edges, i;
+    sfem_int i;
+    int end;
     memset(&p, 0, sizeof p);
     SFEMI_TRY(sfemi_lattice_emit(l));
     if (!l->cage) sfemi_lattice_relax(l);
@@ -11886,14 +12006,14 @@ static sfem_status sfemi_lattice_mesh(sfemi_lattice *l, sfem_mesher_info *info)
         SFEMI_TRY(sfemi_manifold_mates(&p));
         SFEMI_TRY(sfemi_manifold_corners(&p));
         SFEMI_TRY(sfemi_manifold_edges(&p));
-        edges = p.edges;
-        if (!edges) break;
+        if (!p.bad) break;
         if (l->cage) {
-            for (i = 0; i < edges; ++i) {
-                const sfem_int f = p.edge[i] / 3, k = p.edge[i] % 3;
-                info->repaired += sfemi_cage_fill(l, l->at[l->mesh.tet[(f & ~3) + sfemi_mesh_face[f & 3][k]]],
-                                                l->at[l->mesh.tet[(f & ~3) + sfemi_mesh_face[f & 3][(k + 1) % 3]]]);
-            }
+            for (i = 0; i < p.edge.count; ++i)
+                for (end = 0; end < 2 && p.edge.start[i + 1] - p.edge.start[i] != 2; ++end) /* snap has no other use here */
+                    l->snap[l->at[l->mesh.tet[sfemi_manifold_corner(&p, p.edge.order[p.edge.start[i]], end)]]] = 0;
+            sfemi_lattice_each(l, sfemi_cage_fill);
+            for (i = 0; i < l->points; ++i) l->snap[i] = -1;
+            info->repaired = l->filled;
             SFEMI_TRY(sfemi_lattice_emit(l));
             SFEMI_TRY(sfemi_lattice_number(l));
         } else
@@ -11943,6 +12063,8 @@ static sfem_status sfemi_mesher_check(const sfem_mesher_def *def, sfem_error *er
         return SFEM_BAD_ARGUMENT;
     if (def->mode != SFEM_FITTED && def->mode != SFEM_CAGE)
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "mode is %d, neither SFEM_FITTED nor SFEM_CAGE", (int)def->mode);
+    if (def->grading < 0 || def->grading > 10)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "grading is %d, not in 0 .. 10", def->grading);
     if (!sfemi_finite(def->size) || def->size < 0)
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "size is %g, not 0 (by the number of tets) or above", def->size);
     if (!(def->size > 0) && (def->tets < 1 || def->tets > INT32_MAX / 8))
@@ -11969,6 +12091,7 @@ static sfem_status sfemi_mesher_box(const sfemi_solid *s, sfem_error *err)
 typedef struct sfemi_cage_shares {
     const sfemi_solid *solid;
     const sfem_mesh *mesh;
+    sfem_real *share; /* [tets] */
 } sfemi_cage_shares;
 
 static void sfemi_cage_share_task(void *data, sfem_int task)
@@ -11980,19 +12103,47 @@ static void sfemi_cage_share_task(void *data, sfem_int task)
     sfem_int t;
     int k;
     for (t = first; t < end; ++t) {
+        w->share[t] = 1;
         if (m->region[t] >= 0) continue;
         for (k = 0; k < 4; ++k) memcpy(p[k], m->x + 3 * (size_t)m->tet[4 * (size_t)t + (size_t)k], sizeof p[k]);
-        m->region[t] = sfemi_cage_share(w->solid, p, SFEM_CAGE_LEVELS * (size_t)t);
+        w->share[t] = sfemi_cage_share(w->solid, p, (size_t)t);
     }
 }
 
-/* One lattice and its mesh, for edges of length h; it is moved by a part of that, the phase, along all axes. */
-static sfem_status sfemi_mesher_pass(const sfemi_solid *s, const sfem_mesher_def *def, sfem_real h, sfem_real phase,
-                                     sfem_mesh *out, sfem_mesher_info *info, sfem_error *err)
+/* The region of each tet: its share in levels. What rounding adds or takes is carried on to the next tet, so that the
+ * sum is right where all shares are below a level. sum: of the shares. */
+static sfem_status sfemi_cage_shares_set(const sfemi_solid *s, const sfem_mesher_def *def, sfem_mesh *m, sfem_real *sum,
+                                         sfem_error *err)
+{
+    sfem_status status = SFEM_OK;
+    sfem_real carry = 0.5;
+    sfemi_cage_shares w;
+    sfem_int t;
+    w.solid = s;
+    w.mesh = m;
+    SFEMI_NEW(sfem_real, w.share, &def->allocator, m->tets);
+    sfemi_run(s->f ? NULL : &def->exec, (m->tets + 63) / 64, sfemi_cage_share_task, &w);
+    for (*sum = 0, t = 0; t < m->tets; ++t) {
+        if (m->region[t] >= 0) continue;
+        *sum += w.share[t];
+        carry += w.share[t] * SFEM_CAGE_LEVELS;
+        m->region[t] = (sfem_int)fmin(floor(carry), SFEM_CAGE_LEVELS);
+        carry -= m->region[t];
+    }
+done:
+    sfemi_delete(&def->allocator, w.share);
+    return status;
+}
+
+#define SFEMI_MESHER_POINTS 268435456.0 /* of a lattice at most, 2^28 */
+
+/* One lattice of at most so many points and its mesh, for edges of length at[0]; it is moved by a part of that, the
+ * phase at[1], along all axes. */
+static sfem_status sfemi_mesher_pass(const sfemi_solid *s, const sfem_mesher_def *def, const sfem_real at[2],
+                                     sfem_real limit, sfem_mesh *out, sfem_mesher_info *info, sfem_error *err)
 {
     sfem_status status;
     sfemi_lattice l;
-    sfem_int t;
     memset(&l, 0, sizeof l);
     l.solid = s;
     l.exec = s->f ? NULL : &def->exec;
@@ -12000,12 +12151,13 @@ static sfem_status sfemi_mesher_pass(const sfemi_solid *s, const sfem_mesher_def
     l.err = err;
     l.cage = def->mode == SFEM_CAGE;
     info->repaired = info->split = 0;
-    info->size = h;
+    info->size = at[0];
+    l.limit = limit;
     ++info->passes;
     l.def = def; /* it takes 3 to 5 lattices until the number of tets is right */
     l.part[0] = def->size > 0 ? 0 : 1 - pow(0.6, (sfem_real)(info->passes - 1));
     l.part[1] = def->size > 0 ? 0.95 : 1 - pow(0.6, (sfem_real)info->passes);
-    SFEMI_TRY(sfemi_lattice_lay(&l, h, phase));
+    SFEMI_TRY(sfemi_lattice_lay(&l, at[0], at[1]));
     info->lattice = l.points;
     sfemi_lattice_run(&l, (l.points + SFEMI_LATTICE_TASK - 1) / SFEMI_LATTICE_TASK, sfemi_lattice_sign_task, 0, 0.4);
     if (l.not_finite) {
@@ -12014,9 +12166,11 @@ static sfem_status sfemi_mesher_pass(const sfemi_solid *s, const sfem_mesher_def
     }
     if (l.cage) {
         SFEMI_NEW(unsigned char, l.mark, l.a, 6 * (size_t)l.points);
-        for (t = 0; t < s->tree.triangles; ++t) sfemi_cage_triangle(&l, s->tree.corner + 9 * (size_t)t);
+        sfemi_cage_surface(&l);
         if (s->f) sfemi_lattice_each(&l, sfemi_cage_probe);
-    } else {
+    }
+    if (def->grading > 0) SFEMI_TRY(sfemi_lattice_grade(&l, def->grading));
+    if (!l.cage) {
         SFEMI_TRY(sfemi_lattice_cuts(&l));
         sfemi_lattice_warp(&l);
     }
@@ -12029,7 +12183,8 @@ done:
 }
 
 /* A first length of edges for n tets in a volume V of area A: 12 V/h^3 + k A/h^2 = n, the tets of the volume and those
- * that its surface adds. k was fitted to five scanned and drawn bodies; the search corrects what it is off. */
+ * that its surface adds. k was fitted to five scanned and drawn bodies. Of a graded lattice what is deeper than 4 h
+ * counts a sixteenth. The search corrects what it is off. */
 static sfem_real sfemi_mesher_guess(const sfemi_solid *s, const sfem_mesher_def *def)
 {
     const sfem_real n = (sfem_real)def->tets, k = def->mode == SFEM_CAGE ? 9 : 6;
@@ -12037,8 +12192,10 @@ static sfem_real sfemi_mesher_guess(const sfemi_solid *s, const sfem_mesher_def 
     int i;
     for (i = 0; i < 3; ++i) high = fmax(high, s->box[1][i] - s->box[0][i]);
     for (i = 0; i < 60; ++i) {
+        sfem_real full = s->volume;
         h = 0.5 * (low + high);
-        if (12 * s->volume / (h * h * h) + k * s->area / (h * h) > n)
+        if (def->grading > 0) full = fmin(full, 4 * h * s->area + full / 16);
+        if (12 * full / (h * h * h) + k * s->area / (h * h) > n)
             low = h;
         else
             high = h;
@@ -12048,11 +12205,13 @@ static sfem_real sfemi_mesher_guess(const sfemi_solid *s, const sfem_mesher_def 
 
 /* Lattices until the number of tets is right, each from what the ones before had; the best is kept. Where the number
  * jumps, as layers of a plate do, lengths on both sides of the jump are tried, for it goes up and down there; then
- * lattices that are moved, whose layers are others. */
+ * lattices that are moved, whose layers are others. The number of points of all of them is limited, which bounds the
+ * time for needles and for thin bodies that lie across their boxes. */
 static sfem_status sfemi_mesher_search(const sfemi_solid *s, const sfem_mesher_def *def, sfem_mesh *out,
                                        sfem_mesher_info *info, sfem_error *err)
 {
     enum { PASSES = 40, MOVES = 24 };
+    sfem_real left = 262144 + 4000.0 * (sfem_real)def->tets; /* points that may still be laid */
     sfem_real h = log(sfemi_mesher_guess(s, def)), best = HUGE_VAL, off, jump = 0;
     sfem_real low = -1e3, high = 1e3; /* log h with too many, and too few */
     sfem_mesher_info one = *info;
@@ -12061,11 +12220,12 @@ static sfem_status sfemi_mesher_search(const sfemi_solid *s, const sfem_mesher_d
     int k, after = -1;
     memset(&mesh, 0, sizeof mesh);
     for (k = 0; k < PASSES + MOVES && best > (after < 0 ? 0.05 : 0.13); ++k) {
-        const sfem_real phase = k < PASSES ? 0 : k % 2 ? 0.25 : 0.5;
+        const sfem_real at[2] = {exp(h), k < PASSES ? 0 : k % 2 ? 0.25 : 0.5};
         if (k == PASSES && best > 0.4) break; /* a plate of one layer, which shorter edges alone can hold */
-        status = sfemi_mesher_pass(s, def, exp(h), phase, &mesh, &one, err);
-        info->passes = one.passes;
+        status = sfemi_mesher_pass(s, def, at, fmin(left, SFEMI_MESHER_POINTS), &mesh, &one, err);
         if (status != SFEM_OK) break;
+        info->passes = one.passes;
+        left -= one.lattice;
         off = mesh.tets ? log((sfem_real)mesh.tets / (sfem_real)def->tets) : -3;
         if (!mesh.tets && one.lattice / 200 > def->tets + 1000) break; /* there is nothing inside */
         if (after < 0 && off > 0) low = fmax(low, h);
@@ -12086,33 +12246,30 @@ static sfem_status sfemi_mesher_search(const sfemi_solid *s, const sfem_mesher_d
     }
     sfem_mesh_free(&mesh);
     if (!out->tets) info->size = one.size; /* for the message */
-    return out->tets && status == SFEM_TOO_LARGE ? SFEM_OK : status;
+    return info->passes && status == SFEM_TOO_LARGE ? SFEM_OK : status;
 }
 
 static sfem_status sfemi_mesher_make(const sfemi_solid *s, const sfem_mesher_def *def, sfem_mesh *out,
                                      sfem_mesher_info *info, sfem_error *err)
 {
+    const sfem_real at[2] = {def->size, 0};
+    sfem_real inside = 1;
     sfem_status status;
     sfem_mesh mesh;
     memset(&mesh, 0, sizeof mesh);
     SFEMI_TRY(sfemi_mesher_box(s, err));
     if (def->size > 0)
-        SFEMI_TRY(sfemi_mesher_pass(s, def, def->size, 0, &mesh, info, err));
+        SFEMI_TRY(sfemi_mesher_pass(s, def, at, SFEMI_MESHER_POINTS, &mesh, info, err));
     else
         SFEMI_TRY(sfemi_mesher_search(s, def, &mesh, info, err));
     if (def->progress) def->progress(1, def->progress_user);
-    if (mesh.region) {
-        sfemi_cage_shares w;
-        w.solid = s;
-        w.mesh = &mesh;
-        sfemi_run(s->f ? NULL : &def->exec, (mesh.tets + 63) / 64, sfemi_cage_share_task, &w);
-    }
+    if (mesh.region) SFEMI_TRY(sfemi_cage_shares_set(s, def, &mesh, &inside, err));
     sfemi_lattice_measure(&mesh, info);
-    if (!mesh.tets || !(info->volume > 0))
+    if (!mesh.tets || !(inside > 0))
         status =
             sfemi_fail(err, SFEM_BAD_MESH,
                        def->mode == SFEM_CAGE
-                           ? "no point of the lattice's tets is inside: an open sheet encloses nothing"
+                           ? "nothing is inside at edges of %.3g: an open sheet encloses nothing"
                            : "nothing is inside at edges of %.3g: an open sheet encloses nothing; parts thinner than a "
                              "cell need a shorter size, or SFEM_CAGE",
                        info->size);
@@ -12138,6 +12295,7 @@ static sfem_status sfemi_mesher_tree(sfemi_solid *s, const sfemi_repair *m)
     for (k = 0; k < 3 * (size_t)m->n; ++k)
         memcpy(tree->corner + 3 * k, m->s->x + 3 * (size_t)m->tri[k], 3 * sizeof *tree->corner);
     tree->triangles = m->n;
+    s->closed = m->open == 0;
     sfemi_bvh_box(tree->corner, m->n, s->box);
     SFEMI_TRY(sfemi_mesher_box(s, err)); /* before products of lengths */
     sfemi_bvh_build(tree, 0, m->n, 0);

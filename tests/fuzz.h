@@ -369,12 +369,13 @@ static size_t fuzz_seed_calls(int k, int scenes, int calls, unsigned char *out)
     return (size_t)(2 + calls);
 }
 
-/* A tetrahedron in every format of surfaces. */
+/* A tetrahedron in every format of surfaces, and two needles. */
 static size_t fuzz_seed_surface(int k, unsigned char *out)
 {
     static const char *const text[] = {
         "# a comment\nv 0 0 0\nv 1 0 0 0.5 0.5 0.5\nv 0 1 0\nv 0 0 1\nvn 0 0 1\nf 1//1 3//1 2//1\nf 1 2 4\nf -3 -2 -1\n"
         "f 1/1/1 4/2/2 3/3/3\n",
+        "v 0 0 0\nv 1000. 5 0.5 0.5\nv 0 1 0\nv 0 0 1\nf 1//1 3//1 2//1\nf 1 2 4\n", /* needles, once slow */
         "solid a\nfacet normal 0 0 -1\nouter loop\nvertex 0 0 0\nvertex 0 1 0\nvertex 1 0 0\nendloop\nendfacet\n"
         "facet normal 0 0 0\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 0 1\nendloop\nendfacet\n"
         "facet normal 0 0 0\nouter loop\nvertex 1 0 0\nvertex 0 1 0\nvertex 0 0 1\nendloop\nendfacet\n"
