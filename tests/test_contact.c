@@ -399,6 +399,42 @@ static void a_ball_keeps_its_energy_where_steps_resolve_the_bounce(void **unused
     assert_true(faster.kept >= 0.95 && faster.kept <= 1 + 1e-9);
 }
 
+/* A force of one step changes the momentum by F h beside contacts without friction, also in steps that are rejected. */
+static void forces_of_one_step_act_beside_contacts(void **unused)
+{
+    static const double speeds[] = {0, 12};
+    size_t i;
+    (void)unused;
+    for (i = 0; i < TEST_COUNT(speeds); ++i) {
+        const double h = 1.0 / 60, way = 0.3;
+        sfem_body_def def = sfem_default_body_def();
+        sfem_mesh mesh = ball(0.1, 2);
+        double x0[3], x1[3], momentum = 0;
+        sfem_error err;
+        sfem_int j;
+        scene s;
+        int k;
+        if (speeds[i] == 0) def.gravity[2] = -GRAVITY;
+        shift(&mesh, 0, 0, speeds[i] == 0 ? 0.1 : 0.3);
+        s = scene_of(mesh, SFEM_COROTATIONAL, 1e6, 0.3);
+        add_body(&s, &def, 0);
+        s.floor = add_plane(&s, 0, 1, 0, 0, 0);
+        if (speeds[i] > 0) throw_body(&s, 0, 0, 0, -speeds[i]);
+        for (k = 0; k < 6; ++k) {
+            const sfem_real f[3] = {way, 0, 0};
+            for (j = 0; j < s.mesh.nodes; ++j) assert_ok(sfem_body_add_step_force(s.body[0], j, f, &err), err);
+            momentum += way * s.mesh.nodes * h;
+            centre(&s, 0, x0);
+            step(&s, h);
+            centre(&s, 0, x1);
+            assert_near(s.mass * (x1[0] - x0[0]) / h, momentum, 1e-9, 0);
+        }
+        assert_true(sfem_contact_get_info(s.contact).work != 0);
+        assert_true((sfem_body_get_info(s.body[0]).rejected > 0) == (speeds[i] > 0));
+        drop(&s);
+    }
+}
+
 /* Of bodies too stiff for the step to see them store energy. */
 static void restitution_is_what_was_asked_for(void **unused)
 {
@@ -1536,6 +1572,7 @@ int main(void)
         cmocka_unit_test(a_block_slides_to_rest_relative_to_a_belt),
         cmocka_unit_test(a_dropped_cube_makes_no_energy_and_does_not_sink),
         cmocka_unit_test(a_ball_keeps_its_energy_where_steps_resolve_the_bounce),
+        cmocka_unit_test(forces_of_one_step_act_beside_contacts),
         cmocka_unit_test(restitution_is_what_was_asked_for),
         cmocka_unit_test(fast_balls_do_not_pass_thin_plates),
         cmocka_unit_test(flattened_balls_make_no_energy),
