@@ -32,8 +32,8 @@
  *     push              sfem_body_set_gravity, _set_lasting_force, _add_lasting_force; _add_step_force, _add_impulse
  *     hold and grab     sfem_body_set_pins, _move_pin; sfem_mesh_near; sfem_body_grab_node, _grab_point, _grab_region
  *                       sfem_body_move_handle, _release_handle
- *     touch obstacles   sfem_contact_create, _add_body, _add_obstacle, _move_obstacle, _step, _points, _free
- *                       sfem_obstacle_plane; sfem_contact_obstacle_force
+ *     touch obstacles   sfem_contact_create, _add_body, _add_obstacle, _move_obstacle, _step, _points, _save_state, _free
+ *                       sfem_obstacle_plane; sfem_contact_obstacle_force; your own: sfem_body_apply_impulses
  *     look at           sfem_body_positions, _velocities, _displacement, _energy, _get_info, _reactions
  *                       sfem_body_handle_force; sfem_model_stress
  *     render            sfem_mesh_surface, sfem_body_to_floats, sfem_body_normals; sfem_surface_normals
@@ -1994,6 +1994,16 @@ typedef struct sfem_contact_point {
 /* Those of the last step with an impulse, by body and node; good until the next call to the object. */
 SFEM_DEF const sfem_contact_point *sfem_contact_points(const sfem_contact *contact, sfem_int *count);
 
+/* What steps take over beside the states of the bodies: the impulses and planes of the contacts, where the obstacles are and
+ * how they move. Loaded together with the states of all bodies it makes them go on with the same bits; where bodies alone
+ * are loaded the contacts are found anew. Obstacles and bodies have to be there, with the same numbers. The size changes
+ * with the contacts.
+ *   errors  SFEM_FORMAT (not such a state, damaged), SFEM_MISMATCH (of other bodies, obstacles), SFEM_FULL,
+ *           SFEM_OUT_OF_MEMORY: all is as it was */
+SFEM_DEF size_t sfem_contact_state_size(const sfem_contact *contact);
+SFEM_DEF void sfem_contact_save_state(const sfem_contact *contact, void *memory);
+SFEM_DEF sfem_status sfem_contact_load_state(sfem_contact *contact, const void *memory, size_t bytes, sfem_error *err);
+
 /* What all bodies exerted on an obstacle in the last step: force, N, and torque about its position, N m. */
 SFEM_DEF void sfem_contact_obstacle_force(const sfem_contact *contact, sfem_int id, sfem_real force[3],
                                           sfem_real torque[3]);
@@ -2013,6 +2023,32 @@ typedef struct sfem_contact_info {
     size_t bytes;            /* of all that this object holds */
 } sfem_contact_info;
 SFEM_DEF sfem_contact_info sfem_contact_get_info(const sfem_contact *contact);
+
+/* CONTACT OF YOUR OWN, with rigid bodies of another engine or by another solver of cones; no sfem_contact is needed. Between
+ * sfem_body_solve and sfem_body_finish:
+ *     w' = sfem_body_free_velocity                   where nodes go, x' = x + h w', with all impulses so far
+ *     sfem_body_add_impulse                          yours, at nodes
+ *     sfem_body_apply_impulses                       w' with them; any number of times, until your cones are satisfied
+ * What an impulse j at node k does to w' at node i is about Q_i C_ik Q_k^T j, Q the frames and C the compliance of the rest
+ * pose: the metric of an iteration in which every change of j is applied. Impulses are in the energy budget, and stay in
+ * a step that is rejected. Bodies of SFEM_PQR, SFEM_CENTRAL, SFEM_GUI and SFEM_CHANG. */
+
+/* C of a node with all others: column [nodes][3][3], m/s for N s, by rows, between prepare and the next change of h, pins or
+ * factor. It has neither handles nor, for free bodies, what keeps momenta exact in a rotated body, some per cent.
+ *   errors  SFEM_BAD_ARGUMENT (node, integrator), SFEM_NOT_PREPARED, SFEM_OUT_OF_MEMORY
+ *   cost    three solves and memory for them: make it once and keep it */
+SFEM_DEF sfem_status sfem_body_compliance(sfem_body *body, sfem_int node, sfem_real *column, sfem_error *err);
+
+/* Q of a node, by rows, in the step under way. 1 for bodies whose laws are all linear. */
+SFEM_DEF void sfem_body_frame(const sfem_body *body, sfem_int node, sfem_real q[9]);
+
+/* w' of a node, m/s, after sfem_body_solve. */
+SFEM_DEF void sfem_body_free_velocity(const sfem_body *body, sfem_int node, sfem_real w[3]);
+
+/* Solves the step again with what was added to it since sfem_body_solve; nothing where that is nothing.
+ *   errors  SFEM_BAD_ARGUMENT (not between solve and finish), those of sfem_body_solve
+ *   cost    sfem_body_predict and _solve */
+SFEM_DEF sfem_status sfem_body_apply_impulses(sfem_body *body, sfem_error *err);
 #endif /* SFEM_NO_CONTACT */
 
 #endif /* SFEM_NO_BODY */
@@ -29130,7 +29166,8 @@ typedef struct sfemi_obstacle {
 
 typedef struct sfemi_row {
     sfem_int feature; /* a node, or nodes + number of a triangle of the surface */
-    sfem_int obstacle, parts, node[SFEMI_CONTACT_PARTS];
+    sfem_int obstacle, parts;
+    sfem_int body[SFEMI_CONTACT_PARTS], node[SFEMI_CONTACT_PARTS]; /* it stands in the list of the first one's body */
     sfem_real weight[SFEMI_CONTACT_PARTS];
     int fresh;        /* of this step */
     int pushed;       /* starts inside */
@@ -29901,6 +29938,7 @@ static sfem_status sfemi_contact_detect_nodes(sfem_contact *c, sfemi_touch *t, s
         memset(&row, 0, sizeof row);
         if (!sfemi_contact_meets(o, y0, y1, margin, &row)) continue;
         row.feature = row.node[0] = t->node[i];
+        row.body[0] = (sfem_int)(t - c->touch);
         row.parts = row.fresh = 1;
         row.weight[0] = 1;
         row.obstacle = obstacle;
@@ -30103,7 +30141,7 @@ static sfem_status sfemi_contact_detect_faces(sfem_contact *c, sfemi_touch *t, s
     const sfemi_obstacle *o = c->obstacle + obstacle;
     const sfem_int nodes = t->body->model->mesh.nodes;
     sfem_status status = SFEM_OK;
-    sfem_int i;
+    sfem_int i, k;
     for (i = 0; i < t->triangles; ++i) {
         const sfem_int *tri = t->tri + 3 * (size_t)i;
         sfem_real first[9], corner[9];
@@ -30115,6 +30153,7 @@ static sfem_status sfemi_contact_detect_faces(sfem_contact *c, sfemi_touch *t, s
         if (sfemi_contact_face_is_touched(t, &row)) continue;
         memcpy(row.node, tri, 3 * sizeof *tri);
         row.parts = 3;
+        for (k = 0; k < row.parts; ++k) row.body[k] = (sfem_int)(t - c->touch);
         sfemi_contact_face_at(t, o, tri, w, 0, 0, first);
         sfemi_contact_face_at(t, o, tri, w, h, 1, corner);
         if (!sfemi_contact_face_plane(o, first, corner, 1e-3 * t->edge, &row)) continue;
@@ -30362,7 +30401,7 @@ static void sfemi_contact_set_up_row(const sfem_contact *c, const sfemi_touch *t
     sfem_real x0[3], cofactor[9], det;
     int k, j, a, b;
     for (k = 0; k < row->parts; ++k) {
-        sfemi_mul3(row->axes, sfemi_contact_frame(t, row->node[k]), row->rotated[k]);
+        sfemi_mul3(row->axes, sfemi_contact_frame(c->touch + row->body[k], row->node[k]), row->rotated[k]);
         for (a = 0; a < 9; ++a) row->rotated[k][a] *= row->weight[k];
     }
     memset(row->d, 0, sizeof row->d);
@@ -30371,6 +30410,7 @@ static void sfemi_contact_set_up_row(const sfem_contact *c, const sfemi_touch *t
             const sfemi_contact_node *from = c->node + row->at[k];
             const size_t n3 = 3 * (size_t)from->count, at = 3 * (size_t)(row->at[j] - from->first);
             sfem_real block[9], half[9], both[9];
+            if (row->body[j] != row->body[k]) continue;
             for (a = 0; a < 3; ++a)
                 for (b = 0; b < 3; ++b) block[3 * a + b] = (sfem_real)from->g[(size_t)b * n3 + at + (size_t)a];
             sfemi_mul3(row->rotated[j], block, half);
@@ -30428,7 +30468,7 @@ done:
 static sfem_status sfemi_contact_assemble(sfem_contact *c, sfemi_island island, sfem_int *count, sfem_error *err)
 {
     sfem_status status = SFEM_OK;
-    sfem_int i, j, at = 0;
+    sfem_int i, j;
     size_t g = 0;
     int k;
     SFEMI_TRY(sfemi_contact_enlist(c, island, count, err));
@@ -30439,9 +30479,10 @@ static sfem_status sfemi_contact_assemble(sfem_contact *c, sfemi_island island, 
     for (i = island.first; i < island.first + island.count; ++i) {
         sfemi_touch *t = c->touch + i;
         const sfem_int first = c->nodes;
-        for (j = 0; j < t->rows; ++j, ++at)
-            for (k = 0; k < c->list[at]->parts; ++k) {
-                sfemi_row *row = c->list[at];
+        for (j = 0; j < *count; ++j)
+            for (k = 0; k < c->list[j]->parts; ++k) {
+                sfemi_row *row = c->list[j];
+                if (row->body[k] != i) continue;
                 if (t->row_of[row->node[k]] < 0) {
                     c->node[c->nodes].body = i;
                     c->node[c->nodes].node = row->node[k];
@@ -30540,7 +30581,7 @@ static sfem_real sfemi_contact_span(const sfemi_touch *t)
 }
 
 /* x = J^T of the rows' `by`: their change of impulses in the last system, or the impulses. */
-static void sfemi_contact_transpose(const sfemi_touch *t, int change, sfem_real *x)
+static void sfemi_contact_transpose(const sfem_contact *contact, const sfemi_touch *t, int change, sfem_real *x)
 {
     sfem_int i;
     int k, c;
@@ -30548,7 +30589,7 @@ static void sfemi_contact_transpose(const sfemi_touch *t, int change, sfem_real 
     for (i = 0; i < t->rows; ++i) {
         const sfemi_row *row = t->row + i;
         for (k = 0; k < row->parts; ++k)
-            for (c = 0; c < 3; ++c)
+            for (c = 0; c < 3 && row->body[k] == (sfem_int)(t - contact->touch); ++c)
                 x[3 * (size_t)row->node[k] + (size_t)c] +=
                     row->weight[k] * (change ? row->change[c] : row->impulse[c]);
     }
@@ -30677,7 +30718,7 @@ static void sfemi_contact_take_change(sfem_contact *c, sfemi_touch *t, sfem_real
             t->row[i].change[k] *= part;
             t->row[i].impulse[k] += t->row[i].change[k];
         }
-    sfemi_contact_transpose(t, 1, c->x);
+    sfemi_contact_transpose(c, t, 1, c->x);
     sfemi_contact_book(t, c->x);
 }
 
@@ -30722,7 +30763,7 @@ static sfem_status sfemi_contact_begin(sfem_contact *c, sfemi_touch *t, sfem_rea
     if (status != SFEM_OK || !t->rows) return status;
     for (i = 0; i < t->rows; ++i)
         for (k = 0; k < 3; ++k) t->row[i].impulse[k] = sfemi_contact_span(t) * t->row[i].force[k];
-    sfemi_contact_transpose(t, 0, c->x);
+    sfemi_contact_transpose(c, t, 0, c->x);
     for (at = 0; at < 3 * (size_t)b->model->mesh.nodes; ++at) b->rhs[at] += c->x[at] / sfemi_contact_span(t);
     if (!b->scheme.rotates) return status; /* else `added` finds it in the right side */
     if (!b->kicked) memset(b->kick, 0, 3 * (size_t)b->model->mesh.nodes * sizeof *b->kick);
@@ -30755,7 +30796,7 @@ static sfem_status sfemi_contact_try(sfem_contact *c, sfem_int index, sfem_error
         if (!t->rows || (round > 0 && !found && !(t->change > sfemi_contact_negligible(c, t)))) break;
         SFEMI_TRY(sfemi_contact_press(c, island, 1, err));
         if (!(t->change > sfemi_contact_negligible(c, t))) break;
-        sfemi_contact_transpose(t, 1, c->x);
+        sfemi_contact_transpose(c, t, 1, c->x);
         memcpy(c->y, c->x, n * sizeof *c->y);
         sfemi_contact_respond(c, t, c->y);
         response = sfemi_contact_response(t, NULL, c->y);
@@ -30854,7 +30895,7 @@ static int sfemi_contact_redirect(sfem_contact *c, sfemi_touch *t)
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     sfem_real excess;
     size_t i;
-    sfemi_contact_transpose(t, 1, c->x);
+    sfemi_contact_transpose(c, t, 1, c->x);
     for (i = 0; i < n; ++i) {
         c->y[i] = b->mask[i / 3] >> (i % 3) & 1 ? 0 : over * c->x[i];
         c->w[i] = -g->dir[i];
@@ -31016,7 +31057,7 @@ static sfem_status sfemi_contact_separate(sfem_contact *c, sfemi_island island, 
             sfem_real part;
             size_t at;
             if (t->done) continue;
-            sfemi_contact_transpose(t, 1, c->x);
+            sfemi_contact_transpose(c, t, 1, c->x);
             memcpy(c->y, c->x, n * sizeof *c->y);
             sfemi_contact_respond(c, t, c->y);
             part = 1 / fmax(1.0, sfemi_contact_response(t, NULL, c->y));
@@ -31366,7 +31407,7 @@ static int sfemi_contact_find_impact(sfem_contact *c, sfemi_touch *t)
         size += now;
     }
     if (!(change > 1e-3 * size)) return 0;
-    sfemi_contact_transpose(t, 1, c->x);
+    sfemi_contact_transpose(c, t, 1, c->x);
     sfemi_contact_respond(c, t, c->x);
     for (i = 0; i < 3 * b->model->mesh.nodes; ++i) c->x[i] /= b->step.d;
     return 1;
@@ -32021,6 +32062,335 @@ SFEM_DEF sfem_contact_info sfem_contact_get_info(const sfem_contact *c)
                       (size_t)(t->nodes + 3 * t->triangles + t->body->model->mesh.nodes) * sizeof(sfem_int);
     }
     return info;
+}
+
+/* ---- the saved state: see >>saved ---- */
+
+typedef struct sfemi_contact_head {
+    sfemi_saved_head saved;
+    sfem_int bodies, obstacles, rows, room;
+    sfem_real work, moved;
+} sfemi_contact_head;
+
+typedef struct sfemi_saved_obstacle {
+    sfem_real position[3], rotation[9], velocity[3], angular[3];
+    sfem_int stirred, room;
+} sfemi_saved_obstacle;
+
+typedef struct sfemi_saved_row {
+    sfem_real weight[3], local_place[3], local_normal[3], axes[9], impulse[3], force[3], position[3], gap;
+    sfem_int body, feature, obstacle, pushed;
+} sfemi_saved_row;
+
+typedef struct sfemi_contact_saved {
+    sfemi_contact_head *head;
+    sfemi_saved_obstacle *obstacle;
+    sfemi_saved_row *row;
+} sfemi_contact_saved;
+
+typedef struct sfemi_contact_shape {
+    const sfem_contact *contact;
+    sfem_int obstacles, rows;
+} sfemi_contact_shape;
+
+static int sfemi_contact_check_head(const void *shape, const char *at, size_t count)
+{
+    const sfem_contact *c = ((const sfemi_contact_shape *)shape)->contact;
+    sfemi_contact_head head;
+    (void)count;
+    memcpy(&head, at, sizeof head);
+    return head.bodies == c->touches && head.obstacles == c->obstacles && head.rows >= 0 &&
+           head.rows <= c->def.max_contacts && sfemi_finite(head.work) && sfemi_finite(head.moved);
+}
+
+static int sfemi_contact_check_obstacles(const void *shape, const char *at, size_t count)
+{
+    const sfem_contact *c = ((const sfemi_contact_shape *)shape)->contact;
+    size_t i;
+    for (i = 0; i < count; ++i) {
+        sfemi_saved_obstacle o;
+        memcpy(&o, at + i * sizeof o, sizeof o);
+        if (!c->obstacle[i].used) continue;
+        if (sfemi_obstacle_check_pose(o.position, o.rotation, NULL) != SFEM_OK || !sfemi_all_finite(o.velocity, 3) ||
+            !sfemi_all_finite(o.angular, 3) || o.stirred < 0 || o.stirred > 1)
+            return 0;
+    }
+    return 1;
+}
+
+/* The place of a node in the list of those that may touch, which is sorted, or -1. */
+static sfem_int sfemi_contact_find_node(const sfemi_touch *t, sfem_int node)
+{
+    sfem_int low = 0, high = t->nodes;
+    while (low < high) {
+        const sfem_int middle = low + (high - low) / 2;
+        if (t->node[middle] < node) low = middle + 1;
+        else high = middle;
+    }
+    return low < t->nodes && t->node[low] == node ? low : -1;
+}
+
+static int sfemi_contact_check_rows(const void *shape, const char *at, size_t count)
+{
+    const sfem_contact *c = ((const sfemi_contact_shape *)shape)->contact;
+    size_t i;
+    for (i = 0; i < count; ++i) {
+        const sfemi_touch *t;
+        sfemi_saved_row row;
+        sfem_int face;
+        memcpy(&row, at + i * sizeof row, sizeof row);
+        if (row.body < 0 || row.body >= c->touches || !c->touch[row.body].used || row.obstacle < 0 ||
+            row.obstacle >= c->obstacles || !c->obstacle[row.obstacle].used || row.pushed < 0 || row.pushed > 1)
+            return 0;
+        t = c->touch + row.body;
+        face = row.feature - t->body->model->mesh.nodes;
+        if (row.feature < 0 || face >= t->triangles || (face < 0 && sfemi_contact_find_node(t, row.feature) < 0)) return 0;
+        if (!sfemi_all_finite(row.weight, offsetof(sfemi_saved_row, body) / sizeof(sfem_real))) return 0;
+        if (!(fabs(sfemi_dot3(row.local_normal, row.local_normal) - 1) < 1e-6)) return 0;
+    }
+    return 1;
+}
+
+static const sfemi_saved_array sfemi_contact_array[] = {
+    SFEMI_SAVED(sfemi_contact_saved, head, 1, SFEMI_SAVED_ONE, SFEMI_SAVED_ONE, sfemi_contact_check_head, "its head"),
+    SFEMI_SAVED(sfemi_contact_saved, obstacle, 1, offsetof(sfemi_contact_shape, obstacles), SFEMI_SAVED_ONE,
+                sfemi_contact_check_obstacles, "an obstacle"),
+    SFEMI_SAVED(sfemi_contact_saved, row, 1, offsetof(sfemi_contact_shape, rows), SFEMI_SAVED_ONE,
+                sfemi_contact_check_rows, "a contact"),
+};
+static const sfemi_saved_kind sfemi_contact_kind = SFEMI_SAVED_KIND("sfemtoch", "state of contacts", 1, sfemi_contact_array);
+
+static sfemi_contact_shape sfemi_contact_shape_of(const sfem_contact *c, sfem_int rows)
+{
+    sfemi_contact_shape shape;
+    shape.contact = c;
+    shape.obstacles = c->obstacles;
+    shape.rows = rows;
+    return shape;
+}
+
+/* Of the bodies and obstacles that a state belongs to. */
+static uint64_t sfemi_contact_key(const sfem_contact *c)
+{
+    uint64_t hash = SFEMI_HASH;
+    sfem_int i;
+    for (i = 0; i < c->touches; ++i) {
+        const sfemi_touch *t = c->touch + i;
+        const int64_t shape[4] = {t->used, t->nodes, t->triangles, t->used ? t->body->model->mesh.nodes : 0};
+        hash = sfemi_hash(hash, shape, sizeof shape);
+    }
+    for (i = 0; i < c->obstacles; ++i) {
+        const sfemi_obstacle *o = c->obstacle + i;
+        const int64_t shape[2] = {o->used, (int64_t)o->def.kind};
+        hash = sfemi_hash(sfemi_hash(hash, shape, sizeof shape), o->def.size, sizeof o->def.size);
+    }
+    return hash;
+}
+
+SFEM_DEF size_t sfem_contact_state_size(const sfem_contact *c)
+{
+    sfemi_contact_shape shape;
+    SFEM_ASSERT(c);
+    shape = sfemi_contact_shape_of(c, c->rows);
+    return sfemi_saved_lay_out(&sfemi_contact_kind, &shape, NULL, NULL);
+}
+
+static void sfemi_contact_save_row(const sfemi_row *row, sfemi_saved_row *out)
+{
+    int k;
+    memset(out, 0, sizeof *out);
+    out->body = row->body[0];
+    out->feature = row->feature;
+    out->obstacle = row->obstacle;
+    out->pushed = row->pushed;
+    for (k = 0; k < 3; ++k) {
+        out->weight[k] = k < row->parts ? row->weight[k] : 0;
+        out->local_place[k] = row->local_place[k];
+        out->local_normal[k] = row->local_normal[k];
+        out->impulse[k] = row->impulse[k];
+        out->force[k] = row->force[k];
+        out->position[k] = row->position[k];
+    }
+    memcpy(out->axes, row->axes, sizeof out->axes);
+    out->gap = row->gap;
+}
+
+SFEM_DEF void sfem_contact_save_state(const sfem_contact *c, void *memory)
+{
+    sfemi_contact_shape shape;
+    sfemi_contact_head head;
+    char *to = (char *)memory;
+    sfem_int i, k;
+    SFEM_ASSERT(c && memory);
+    shape = sfemi_contact_shape_of(c, c->rows);
+    memset(memory, 0, sfem_contact_state_size(c));
+    memset(&head, 0, sizeof head);
+    memcpy(head.saved.magic, sfemi_contact_kind.magic, sizeof head.saved.magic);
+    head.saved.version = sfemi_contact_kind.version;
+    head.saved.order = SFEMI_SAVED_ORDER;
+    head.saved.size = sfem_contact_state_size(c);
+    head.saved.key = sfemi_contact_key(c);
+    head.bodies = c->touches;
+    head.obstacles = c->obstacles;
+    head.rows = c->rows;
+    head.work = c->info.work;
+    head.moved = c->info.moved;
+    memcpy(to, &head, sizeof head);
+    to += sfemi_saved_bytes(sfemi_contact_array, &shape);
+    for (i = 0; i < c->obstacles; ++i) {
+        const sfemi_obstacle *o = c->obstacle + i;
+        sfemi_saved_obstacle out;
+        memset(&out, 0, sizeof out);
+        memcpy(out.position, o->def.position, sizeof out.position);
+        memcpy(out.rotation, o->def.rotation, sizeof out.rotation);
+        memcpy(out.velocity, o->velocity, sizeof out.velocity);
+        memcpy(out.angular, o->angular, sizeof out.angular);
+        out.stirred = o->stirred;
+        memcpy(to + (size_t)i * sizeof out, &out, sizeof out);
+    }
+    to += sfemi_saved_bytes(sfemi_contact_array + 1, &shape);
+    for (i = 0; i < c->touches; ++i)
+        for (k = 0; k < c->touch[i].rows; ++k, to += sizeof(sfemi_saved_row)) {
+            sfemi_saved_row out;
+            sfemi_contact_save_row(c->touch[i].row + k, &out);
+            memcpy(to, &out, sizeof out);
+        }
+    sfemi_saved_seal(memory);
+}
+
+static void sfemi_contact_load_row(const sfem_contact *c, const sfemi_touch *t, const sfemi_saved_row *from, sfemi_row *row)
+{
+    const sfem_int face = from->feature - t->body->model->mesh.nodes;
+    int k;
+    memset(row, 0, sizeof *row);
+    row->feature = from->feature;
+    row->obstacle = from->obstacle;
+    row->parts = face < 0 ? 1 : 3;
+    row->pushed = from->pushed;
+    for (k = 0; k < row->parts; ++k) {
+        row->body[k] = from->body;
+        row->node[k] = face < 0 ? from->feature : t->tri[3 * (size_t)face + (size_t)k];
+        row->weight[k] = from->weight[k];
+    }
+    memcpy(row->local_place, from->local_place, sizeof row->local_place);
+    memcpy(row->local_normal, from->local_normal, sizeof row->local_normal);
+    memcpy(row->axes, from->axes, sizeof row->axes);
+    memcpy(row->impulse, from->impulse, sizeof row->impulse);
+    memcpy(row->force, from->force, sizeof row->force);
+    memcpy(row->position, from->position, sizeof row->position);
+    row->gap = from->gap;
+    sfemi_contact_rate(c, t, row);
+}
+
+SFEM_DEF sfem_status sfem_contact_load_state(sfem_contact *c, const void *memory, size_t bytes, sfem_error *err)
+{
+    const char *at = (const char *)memory;
+    sfemi_contact_shape shape;
+    sfemi_contact_head head;
+    sfem_status status;
+    sfem_int i, k;
+    SFEM_ASSERT(c && memory);
+    SFEMI_TRY(sfemi_saved_open(&sfemi_contact_kind, NULL, memory, bytes, err));
+    memcpy(&head, memory, sizeof head);
+    if (head.saved.key != sfemi_contact_key(c))
+        return sfemi_fail(err, SFEM_MISMATCH, "the state of contacts is of other bodies or obstacles");
+    shape = sfemi_contact_shape_of(c, head.rows);
+    SFEMI_TRY(sfemi_saved_fault(&sfemi_contact_kind, &shape, memory, bytes, err));
+    for (i = 0; i < c->touches; ++i) SFEMI_CONTACT_LIST(c, c->touch[i].row, c->touch[i].room, head.rows);
+    SFEMI_CONTACT_LIST(c, c->point, c->point_room, head.rows + 1);
+    SFEMI_CONTACT_LIST(c, c->list, c->list_room, head.rows + 1);
+    at += sfemi_saved_bytes(sfemi_contact_array, &shape);
+    for (i = 0; i < c->obstacles; ++i) {
+        sfemi_obstacle *o = c->obstacle + i;
+        sfemi_saved_obstacle from;
+        memcpy(&from, at + (size_t)i * sizeof from, sizeof from);
+        memcpy(o->def.position, from.position, sizeof from.position);
+        memcpy(o->def.rotation, from.rotation, sizeof from.rotation);
+        memcpy(o->velocity, from.velocity, sizeof from.velocity);
+        memcpy(o->angular, from.angular, sizeof from.angular);
+        memcpy(o->to, from.position, sizeof from.position);
+        o->stirred = from.stirred;
+    }
+    at += sfemi_saved_bytes(sfemi_contact_array + 1, &shape);
+    for (i = 0; i < c->touches; ++i) c->touch[i].rows = 0;
+    for (k = 0; k < head.rows; ++k, at += sizeof(sfemi_saved_row)) {
+        sfemi_saved_row from;
+        sfemi_touch *t;
+        memcpy(&from, at, sizeof from);
+        t = c->touch + from.body;
+        sfemi_contact_load_row(c, t, &from, t->row + t->rows++);
+    }
+    c->rows = head.rows;
+    c->info.work = head.work;
+    c->info.moved = head.moved;
+    return sfemi_contact_report(c, err);
+done:
+    return status;
+}
+
+/* ---- contact of the caller's own ---- */
+
+static sfem_status sfemi_body_check_own_contact(const sfem_body *b, sfem_int node, sfem_error *err)
+{
+    if (!b->scheme.mean || b->scheme.lagging)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "a body with contact steps by SFEM_PQR, SFEM_CENTRAL, SFEM_GUI or SFEM_CHANG");
+    return sfemi_body_check_node(b, node, NULL, "impulse", err);
+}
+
+SFEM_DEF sfem_status sfem_body_compliance(sfem_body *b, sfem_int node, sfem_real *column, sfem_error *err)
+{
+    const sfem_factor *f;
+    sfem_real *x = NULL, *work = NULL;
+    sfem_status status;
+    sfem_int nodes, i;
+    size_t n;
+    int a, k;
+    SFEM_ASSERT(b && column);
+    nodes = b->model->mesh.nodes;
+    n = 3 * (size_t)nodes;
+    SFEMI_TRY(sfemi_body_check_own_contact(b, node, err));
+    f = b->factor ? sfemi_body_active(b) : NULL;
+    if (!f) return sfemi_fail(err, SFEM_NOT_PREPARED, "the body has no factor yet: prepare it for its step first");
+    SFEMI_NEW(sfem_real, x, &b->allocator, 3 * n);
+    SFEMI_NEW(sfem_real, work, &b->allocator, sfemi_factor_work_size(f, 3));
+    for (a = 0; a < 3; ++a)
+        if (!(f->mask[node] >> a & 1)) x[(size_t)a * n + 3 * (size_t)node + (size_t)a] = 1;
+    sfemi_factor_solve(f, nodes, 3, x, x, work, &b->exec);
+    for (i = 0; i < nodes; ++i)
+        for (k = 0; k < 3; ++k)
+            for (a = 0; a < 3; ++a)
+                column[9 * (size_t)i + (size_t)(3 * k + a)] = x[(size_t)a * n + 3 * (size_t)i + (size_t)k];
+done:
+    sfemi_delete(&b->allocator, x);
+    sfemi_delete(&b->allocator, work);
+    return status;
+}
+
+SFEM_DEF void sfem_body_frame(const sfem_body *b, sfem_int node, sfem_real q[9])
+{
+    SFEM_ASSERT(b && q && node >= 0 && node < b->model->mesh.nodes);
+    memcpy(q, b->scheme.rotates ? b->state.frame + 9 * (size_t)node : sfemi_contact_no_frame, 9 * sizeof *q);
+}
+
+SFEM_DEF void sfem_body_free_velocity(const sfem_body *b, sfem_int node, sfem_real w[3])
+{
+    int c;
+    SFEM_ASSERT(b && w && node >= 0 && node < b->model->mesh.nodes && b->phase == SFEMI_SOLVED && b->scheme.mean);
+    for (c = 0; c < 3; ++c) {
+        const size_t at = 3 * (size_t)node + (size_t)c;
+        w[c] = b->scheme.rotates ? b->safeguard.w[at] : sfemi_pqr_base(b)[at] + b->step.d * b->acc[at];
+    }
+}
+
+SFEM_DEF sfem_status sfem_body_apply_impulses(sfem_body *b, sfem_error *err)
+{
+    sfem_status status;
+    SFEM_ASSERT(b);
+    status = sfemi_body_check_own_contact(b, 0, err);
+    if (status != SFEM_OK) return status;
+    if (b->phase != SFEMI_SOLVED)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "impulses are applied between sfem_body_solve and _finish");
+    return b->is_late ? sfemi_body_solve_again(b, err) : SFEM_OK;
 }
 #endif /* SFEM_NO_CONTACT */
 
