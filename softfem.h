@@ -1892,7 +1892,11 @@ typedef struct sfem_contact_def {
     sfem_real push_speed;      /* m/s, at most, >= 0; 0.5. It is work done on the body */
     sfem_int max_contacts;     /* of all bodies together, >= 1; 4096 */
     size_t cache_bytes;        /* for columns of A^-1, 36 bytes for each pair of nodes; 256 MB. Where they do not suffice,
-                                * those that have not been of use for longest go; those of the step under way stay */
+                                * those that have not been of use for longest go; with less than a step needs it makes
+                                * them again in each. Only while they are made there are up to 8 columns more. Beside
+                                * it a body keeps 36 bytes for each pair of nodes that are in contact */
+    sfem_real column_flops;    /* a step, for columns of nodes that will touch within 8 steps, >= 0; 3e7. Bodies that come
+                                * near have them made early, two nodes a step or more; 0: when they touch */
     sfem_allocator allocator;
 } sfem_contact_def;
 SFEM_DEF sfem_contact_def sfem_default_contact_def(void);
@@ -29190,6 +29194,7 @@ typedef struct sfemi_columns {
     struct sfemi_columns *next;
     sfem_model *model;
     sfem_factor *factor;
+    int64_t made;       /* number of these columns, from 1 */
     int owned;          /* a reference to it is held; else it is a body's own refactored one, of the stamp */
     int64_t stamp;
     sfem_int users;
@@ -29212,6 +29217,10 @@ typedef struct sfemi_touch { /* a body */
     sfemi_row *row;
     sfem_int rows, room;
     sfemi_columns *columns;
+    float *g;                  /* compact G of g_node, kept while its nodes and columns stay the same */
+    sfem_int *g_node, g_nodes, g_node_room;
+    size_t g_room;
+    int64_t g_of;              /* columns->made of those that it is of; 0: none */
     /* the step under way */
     int sleep, asleep, rests;  /* rests: it goes on sleeping */
     int fallback, done;
@@ -29230,7 +29239,7 @@ typedef struct sfemi_touch { /* a body */
 typedef struct sfemi_contact_node {
     sfem_int body, node;
     sfem_int first, count; /* of its body in the system */
-    float *g;              /* [3][3 count] */
+    const float *g;        /* [3][sfemi_contact_stride(count)] */
 } sfemi_contact_node;
 
 struct sfem_contact {
@@ -29241,7 +29250,7 @@ struct sfem_contact {
     sfem_int touches, touch_room;
     sfemi_columns *columns;
     size_t column_bytes;
-    int64_t step;
+    int64_t step, columns_made;
     sfem_contact_info info;
     sfem_contact_point *point;
     sfem_int points, point_room;
@@ -29251,8 +29260,7 @@ struct sfem_contact {
     sfemi_contact_node *node;
     sfem_int nodes, node_room;
     sfem_real *v, *v0;     /* [nodes][3] after and before the sweeps */
-    float *g;
-    size_t g_room, v_room, v0_room;
+    size_t v_room, v0_room;
     /* scratch, [mesh nodes][3] of the largest body */
     sfem_real *w, *x, *y, *rhs, *work;
     size_t vector_room, x_room, y_room, rhs_room, work_room;
@@ -30246,6 +30254,7 @@ static sfem_status sfemi_columns_get(sfem_contact *c, sfemi_touch *t, sfem_error
     if (!k) {
         SFEMI_NEW(sfemi_columns, k, al, 1);
         k->users = 1;
+        k->made = ++c->columns_made;
         k->next = c->columns; /* in the list from here on: release takes it out again */
         c->columns = t->columns = k;
         k->model = b->model;
@@ -30276,14 +30285,14 @@ done:
     return status;
 }
 
-/* The columns that have not been of use for longest go. */
-static int sfemi_columns_drop_oldest(sfem_contact *c)
+/* The columns that have not been of use since the step `before` and for longest go. */
+static int sfemi_columns_drop_oldest(sfem_contact *c, int64_t before)
 {
     sfemi_columns *k, *oldest = NULL;
     sfem_int i, at = -1;
     for (k = c->columns; k; k = k->next)
         for (i = 0; i < k->surface; ++i) {
-            if (!k->at[i] || k->used[i] >= c->step) continue;
+            if (!k->at[i] || k->used[i] >= before) continue;
             if (!oldest || k->used[i] < oldest->used[at]) oldest = k, at = i;
         }
     if (!oldest) return 0;
@@ -30317,7 +30326,7 @@ static sfem_status sfemi_columns_make(sfem_contact *c, const sfemi_touch *t, con
     sfemi_factor_solve(k->factor, nodes, 3 * count, c->rhs, c->rhs, c->work, &t->body->exec);
     for (i = 0; i < count; ++i) {
         float *to;
-        while (c->column_bytes + bytes > c->def.cache_bytes && sfemi_columns_drop_oldest(c)) {}
+        while (c->column_bytes + bytes > c->def.cache_bytes && sfemi_columns_drop_oldest(c, c->step)) {}
         SFEMI_NEW(float, to, &c->def.allocator, 3 * s);
         k->at[which[i]] = to;
         k->used[which[i]] = c->step;
@@ -30330,6 +30339,70 @@ static sfem_status sfemi_columns_make(sfem_contact *c, const sfemi_touch *t, con
                     to[(size_t)a * s + 3 * (size_t)j + (size_t)r] =
                         (float)c->rhs[(3 * (size_t)i + (size_t)a) * n + 3 * (size_t)k->node[j] + (size_t)r];
     }
+done:
+    return status;
+}
+
+/* Back to within the budget. */
+static void sfemi_columns_trim(sfem_contact *c)
+{
+    while (c->column_bytes > c->def.cache_bytes && sfemi_columns_drop_oldest(c, c->step + 1)) {}
+}
+
+/* How many nodes' columns may be made early in a step: a block of 8 right sides takes 32 multiply-adds for a number in L. */
+static sfem_int sfemi_columns_early(const sfem_contact *c, const sfemi_columns *k)
+{
+    const size_t bytes = 9 * (size_t)k->surface * sizeof(float);
+    const size_t room = c->def.cache_bytes > c->column_bytes ? (c->def.cache_bytes - c->column_bytes) / bytes : 0;
+    sfem_real blocks;
+    sfem_int most;
+    if (!(c->def.column_flops > 0) || !k->factor->ldl) return 0;
+    blocks = c->def.column_flops / (32 * (sfem_real)sfem_ldl_get_info(k->factor->ldl).nnz);
+    most = blocks < 1 ? 2 : blocks < 3 ? (sfem_int)(blocks * 8 / 3) : SFEMI_COLUMN_BATCH;
+    return room < (size_t)most ? (sfem_int)room : most;
+}
+
+/* Makes columns of nodes that will touch soon, as they and the obstacles move now. What is in no result: columns are the
+ * same whenever they are made. */
+static sfem_status sfemi_columns_expect(sfem_contact *c, sfemi_touch *t, sfem_real h, sfem_error *err)
+{
+    const sfem_real ahead = 8 * h, *rest = t->body->model->mesh.x, *u = t->body->state.u, *w = t->body->state.w;
+    sfem_int which[SFEMI_COLUMN_BATCH], count = 0, most = -1, i, j;
+    sfem_status status = SFEM_OK;
+    sfem_real box[2][3];
+    int k;
+    if (!(c->def.column_flops > 0)) return SFEM_OK;
+    for (k = 0; k < 3; ++k) box[0][k] = 1e300, box[1][k] = -1e300;
+    for (i = 0; i < t->nodes; ++i)
+        for (k = 0; k < 3; ++k) {
+            const size_t at = 3 * (size_t)t->node[i] + (size_t)k, to = 3 * (size_t)i + (size_t)k;
+            t->x0[to] = rest[at] + u[at];
+            t->x1[to] = t->x0[to] + ahead * w[at];
+            box[0][k] = fmin(box[0][k], fmin(t->x0[to], t->x1[to]));
+            box[1][k] = fmax(box[1][k], fmax(t->x0[to], t->x1[to]));
+        }
+    for (j = 0; j < c->obstacles && most != 0 && count != most; ++j) {
+        sfemi_obstacle o = c->obstacle[j];
+        if (!sfemi_contact_pair(t, &o)) continue;
+        for (k = 0; k < 3; ++k) o.to[k] = o.from[k] + ahead * o.velocity[k];
+        if (sfemi_obstacle_is_far(&o, box, 0.1 * t->edge)) continue;
+        if (most < 0) {
+            SFEMI_TRY(sfemi_columns_get(c, t, err));
+            most = sfemi_columns_early(c, t->columns);
+        }
+        for (i = 0; i < t->nodes && count < most; ++i) {
+            sfem_real y0[3], y1[3];
+            sfemi_row row;
+            if (t->columns->at[i] || t->row_of[t->node[i]] >= 0) continue;
+            sfemi_obstacle_to_local(o.from, o.from_axes, t->x0 + 3 * (size_t)i, y0);
+            sfemi_obstacle_to_local(o.to, o.from_axes, t->x1 + 3 * (size_t)i, y1);
+            if (!sfemi_contact_meets(&o, y0, y1, 0.1 * t->edge, &row)) continue;
+            t->row_of[t->node[i]] = count;
+            which[count++] = i;
+        }
+    }
+    for (i = 0; i < count; ++i) t->row_of[t->node[which[i]]] = -1;
+    if (count) SFEMI_TRY(sfemi_columns_make(c, t, which, count, err));
 done:
     return status;
 }
@@ -30370,26 +30443,54 @@ static const sfem_real *sfemi_contact_frame(const sfemi_touch *t, sfem_int node)
     return b->safeguard.frame + 9 * (size_t)node;
 }
 
-/* The compact G of one body's nodes. */
-static sfem_status sfemi_contact_gather(sfem_contact *c, const sfemi_touch *t, sfem_int first, sfem_int count,
-                                        float *g, sfem_error *err)
+/* Floats from one axis of a compact G to the next: whole vectors, filled up with 0. */
+static size_t sfemi_contact_stride(sfem_int count)
+{
+    return (3 * (size_t)count + 3) / 4 * 4;
+}
+
+/* The compact G of one body's nodes, which stand in c->node from `first` on; that of the last system where it is the same. */
+static sfem_status sfemi_contact_gather(sfem_contact *c, sfemi_touch *t, sfem_int first, sfem_int count, sfem_error *err)
 {
     const sfemi_columns *k = t->columns;
-    const size_t s = 3 * (size_t)k->surface, n3 = 3 * (size_t)count;
+    const size_t s = 3 * (size_t)k->surface, stride = sfemi_contact_stride(count);
     sfem_status status = SFEM_OK;
     sfem_int i, j;
+    float *g;
     size_t a;
-    SFEMI_TRY(sfemi_columns_need(c, t, first, count, err));
-    for (i = first; i < first + count; ++i, g += 3 * n3) {
-        const float *from = k->at[k->index[c->node[i].node]];
-        c->node[i].first = first;
-        c->node[i].count = count;
-        c->node[i].g = g;
-        for (a = 0; a < 3; ++a)
-            for (j = 0; j < count; ++j)
-                memcpy(g + a * n3 + 3 * (size_t)j, from + a * s + 3 * (size_t)k->index[c->node[first + j].node],
-                       3 * sizeof *g);
+    int same = t->g_of == k->made && t->g_nodes == count;
+    for (i = 0; same && i < count; ++i) same = t->g_node[i] == c->node[first + i].node;
+    if (!same) {
+        t->g_of = 0;
+        SFEMI_CONTACT_ROOM(c, t->g, t->g_room, 3 * (size_t)count * stride);
+        SFEMI_CONTACT_LIST(c, t->g_node, t->g_node_room, count);
     }
+    for (i = 0, g = t->g; i < count; ++i, g += 3 * stride) {
+        const sfem_int at = k->index[c->node[first + i].node], left = count - i;
+        if (!same && i % SFEMI_COLUMN_BATCH == 0) {
+            sfemi_columns_trim(c);
+            SFEMI_TRY(sfemi_columns_need(c, t, first + i, left < SFEMI_COLUMN_BATCH ? left : SFEMI_COLUMN_BATCH, err));
+        }
+        c->node[first + i].first = first;
+        c->node[first + i].count = count;
+        c->node[first + i].g = g;
+        k->used[at] = c->step;
+        for (a = 0; !same && a < 3; ++a) {
+            const float *from = k->at[at] + a * s;
+            float *to = g + a * stride;
+            for (j = 0; j < count; ++j) {
+                const float *block = from + 3 * (size_t)k->index[c->node[first + j].node];
+                to[3 * j] = block[0];
+                to[3 * j + 1] = block[1];
+                to[3 * j + 2] = block[2];
+            }
+            for (j = 3 * count; (size_t)j < stride; ++j) to[j] = 0;
+        }
+        t->g_node[i] = c->node[first + i].node;
+    }
+    sfemi_columns_trim(c);
+    t->g_nodes = count;
+    t->g_of = k->made;
 done:
     return status;
 }
@@ -30408,7 +30509,7 @@ static void sfemi_contact_set_up_row(const sfem_contact *c, const sfemi_touch *t
     for (k = 0; k < row->parts; ++k)
         for (j = 0; j < row->parts; ++j) {
             const sfemi_contact_node *from = c->node + row->at[k];
-            const size_t n3 = 3 * (size_t)from->count, at = 3 * (size_t)(row->at[j] - from->first);
+            const size_t n3 = sfemi_contact_stride(from->count), at = 3 * (size_t)(row->at[j] - from->first);
             sfem_real block[9], half[9], both[9];
             if (row->body[j] != row->body[k]) continue;
             for (a = 0; a < 3; ++a)
@@ -30469,12 +30570,11 @@ static sfem_status sfemi_contact_assemble(sfem_contact *c, sfemi_island island, 
 {
     sfem_status status = SFEM_OK;
     sfem_int i, j;
-    size_t g = 0;
     int k;
     SFEMI_TRY(sfemi_contact_enlist(c, island, count, err));
     c->nodes = 0;
     SFEMI_CONTACT_LIST(c, c->node, c->node_room, SFEMI_CONTACT_PARTS * *count + 1);
-    SFEMI_CONTACT_ROOM(c, c->v, c->v_room, 3 * (SFEMI_CONTACT_PARTS * (size_t)*count + 1));
+    SFEMI_CONTACT_ROOM(c, c->v, c->v_room, 3 * (SFEMI_CONTACT_PARTS * (size_t)*count + 2)); /* a vector may go beyond */
     SFEMI_CONTACT_ROOM(c, c->v0, c->v0_room, 3 * (SFEMI_CONTACT_PARTS * (size_t)*count + 1));
     for (i = island.first; i < island.first + island.count; ++i) {
         sfemi_touch *t = c->touch + i;
@@ -30491,35 +30591,54 @@ static sfem_status sfemi_contact_assemble(sfem_contact *c, sfemi_island island, 
                 row->at[k] = t->row_of[row->node[k]];
             }
         for (j = first; j < c->nodes; ++j) t->row_of[c->node[j].node] = -1;
-        g += 9 * (size_t)(c->nodes - first) * (size_t)(c->nodes - first);
     }
-    SFEMI_CONTACT_ROOM(c, c->g, c->g_room, g);
-    for (i = 0, g = 0; i < c->nodes;) {
+    for (i = 0; i < c->nodes;) {
         sfem_int n = i;
         while (n < c->nodes && c->node[n].body == c->node[i].body) ++n;
         SFEMI_TRY(sfemi_columns_get(c, c->touch + c->node[i].body, err));
-        SFEMI_TRY(sfemi_contact_gather(c, c->touch + c->node[i].body, i, n - i, c->g + g, err));
-        g += 9 * (size_t)(n - i) * (size_t)(n - i);
+        SFEMI_TRY(sfemi_contact_gather(c, c->touch + c->node[i].body, i, n - i, err));
         i = n;
     }
 done:
     return status;
 }
 
+/* v += the columns g [3][n] times l, n a multiple of 4. */
+static void sfemi_contact_columns_0(size_t n, const float *SFEMI_RESTRICT g, const sfem_real l[3], sfem_real *SFEMI_RESTRICT v)
+{
+    size_t i;
+    for (i = 0; i < n; ++i)
+        v[i] += (sfem_real)g[i] * l[0] + (sfem_real)g[n + i] * l[1] + (sfem_real)g[2 * n + i] * l[2];
+}
+
+#if SFEMI_X86
+SFEMI_TARGET_1 static void sfemi_contact_columns_1(size_t n, const float *g, const sfem_real l[3], sfem_real *v)
+{
+    const __m256d a = _mm256_set1_pd(l[0]), b = _mm256_set1_pd(l[1]), c = _mm256_set1_pd(l[2]);
+    size_t i;
+    for (i = 0; i < n; i += 4) {
+        __m256d sum = _mm256_loadu_pd(v + i);
+        sum = _mm256_fmadd_pd(_mm256_cvtps_pd(_mm_loadu_ps(g + i)), a, sum);
+        sum = _mm256_fmadd_pd(_mm256_cvtps_pd(_mm_loadu_ps(g + n + i)), b, sum);
+        sum = _mm256_fmadd_pd(_mm256_cvtps_pd(_mm_loadu_ps(g + 2 * n + i)), c, sum);
+        _mm256_storeu_pd(v + i, sum);
+    }
+}
+#define sfemi_contact_columns_2 sfemi_contact_columns_1
+#endif
+
+typedef void (*sfemi_contact_columns)(size_t n, const float *g, const sfem_real l[3], sfem_real *v);
+
 /* v~ += G turn^T dl. */
-static void sfemi_contact_spread(const sfem_contact *c, const sfemi_row *row, const sfem_real dl[3])
+static void sfemi_contact_spread(const sfem_contact *c, sfemi_contact_columns add, const sfemi_row *row, const sfem_real dl[3])
 {
     int k, a;
-    size_t i;
     for (k = 0; k < row->parts; ++k) {
         const sfemi_contact_node *node = c->node + row->at[k];
-        const size_t n3 = 3 * (size_t)node->count;
-        const float *SFEMI_RESTRICT g = node->g;
-        sfem_real *SFEMI_RESTRICT v = c->v + 3 * (size_t)node->first, l[3];
+        sfem_real l[3];
         for (a = 0; a < 3; ++a)
             l[a] = row->rotated[k][a] * dl[0] + row->rotated[k][3 + a] * dl[1] + row->rotated[k][6 + a] * dl[2];
-        for (i = 0; i < n3; ++i)
-            v[i] += (sfem_real)g[i] * l[0] + (sfem_real)g[n3 + i] * l[1] + (sfem_real)g[2 * n3 + i] * l[2];
+        add(sfemi_contact_stride(node->count), node->g, l, c->v + 3 * (size_t)node->first);
     }
 }
 
@@ -30547,6 +30666,10 @@ static void sfemi_contact_solve_row(const sfemi_row *row, const sfem_real u[3], 
 /* Sweeps over `count` rows, whose nodes have the velocities c->v, impulses row->l, until these change little. */
 static void sfemi_contact_sweep(sfem_contact *c, sfem_int count)
 {
+#define SFEMI_CONTACT_COLUMNS(path) sfemi_contact_columns_##path
+    static const sfemi_contact_columns columns[] = SFEMI_PATHS(SFEMI_CONTACT_COLUMNS);
+#undef SFEMI_CONTACT_COLUMNS
+    const sfemi_contact_columns add = columns[sfemi_path()];
     sfem_int sweep, i;
     int k, a;
     ++c->info.systems;
@@ -30562,7 +30685,7 @@ static void sfemi_contact_sweep(sfem_contact *c, sfem_int count)
             sfemi_contact_solve_row(row, u, l);
             sfemi_sub3(l, row->l, dl);
             if (dl[0] == 0 && dl[1] == 0 && dl[2] == 0) continue;
-            sfemi_contact_spread(c, row, dl);
+            sfemi_contact_spread(c, add, row, dl);
             memcpy(row->l, l, sizeof l);
             change += row->d[0] * sfemi_dot3(dl, dl);
         }
@@ -31575,6 +31698,7 @@ static sfem_status sfemi_contact_solve(sfem_contact *c, sfem_real h, sfem_error 
         if (status != SFEM_OK) return status;
         if (t->rests) continue;
         SFEMI_TRY(sfemi_contact_begin(c, t, h, err));
+        SFEMI_TRY(sfemi_columns_expect(c, t, h, err));
         SFEMI_TRY(sfemi_contact_try(c, i, err));
     }
     island.count = 1;
@@ -31644,6 +31768,7 @@ SFEM_DEF sfem_contact_def sfem_default_contact_def(void)
     d.push_speed = 0.5;
     d.max_contacts = 4096;
     d.cache_bytes = (size_t)256 << 20;
+    d.column_flops = 3e7;
     return d;
 }
 
@@ -31705,6 +31830,8 @@ SFEM_DEF sfem_status sfem_contact_create(const sfem_contact_def *def, sfem_conta
         return sfemi_fail(err, SFEM_BAD_ARGUMENT,
                           "push_share is %g, push_speed %g: the first must be 0 to 1, the second >= 0", d->push_share,
                           d->push_speed);
+    if (!(sfemi_finite(d->column_flops) && d->column_flops >= 0))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "column_flops is %g, must be >= 0", d->column_flops);
     SFEMI_NEW(sfem_contact, c, &d->allocator, 1);
     c->def = *d;
     *out = c;
@@ -31745,6 +31872,8 @@ static void sfemi_contact_free_touch(sfem_contact *c, sfemi_touch *t)
     sfemi_delete(al, t->x1);
     sfemi_delete(al, t->row);
     sfemi_delete(al, t->owed);
+    sfemi_delete(al, t->g);
+    sfemi_delete(al, t->g_node);
     memset(t, 0, sizeof *t);
 }
 
@@ -31764,7 +31893,6 @@ SFEM_DEF void sfem_contact_free(sfem_contact *c)
     sfemi_delete(&al, c->v);
     sfemi_delete(&al, c->v0);
     sfemi_delete(&al, c->y);
-    sfemi_delete(&al, c->g);
     sfemi_delete(&al, c->w);
     sfemi_delete(&al, c->x);
     sfemi_delete(&al, c->rhs);
@@ -32050,13 +32178,14 @@ SFEM_DEF sfem_contact_info sfem_contact_get_info(const sfem_contact *c)
     SFEM_ASSERT(c);
     info = c->info;
     info.bytes = sizeof *c + c->column_bytes + (c->vector_room + c->x_room + c->y_room + c->v0_room + c->rhs_room + c->work_room + c->v_room +
-                 c->lambda_room) * sizeof(sfem_real) + c->g_room * sizeof(float) +
+                 c->lambda_room) * sizeof(sfem_real) +
                  (size_t)c->obstacle_room * sizeof *c->obstacle + (size_t)c->touch_room * sizeof *c->touch +
                  (size_t)c->point_room * sizeof *c->point + (size_t)c->list_room * sizeof(void *) +
                  (size_t)c->node_room * sizeof *c->node;
     for (i = 0; i < c->touches; ++i) {
         const sfemi_touch *t = c->touch + i;
         if (!t->used) continue;
+        info.bytes += t->g_room * sizeof(float) + (size_t)t->g_node_room * sizeof(sfem_int);
         info.bytes += (size_t)t->room * sizeof *t->row + (size_t)t->owed_room * sizeof(sfem_real) +
                       6 * (size_t)t->nodes * sizeof(sfem_real) +
                       (size_t)(t->nodes + 3 * t->triangles + t->body->model->mesh.nodes) * sizeof(sfem_int);

@@ -1349,6 +1349,43 @@ static void a_body_with_slivers_is_dropped_and_thrown(void **unused)
     }
 }
 
+/* Columns are bounded by their budget, made early by theirs, and the same whenever they are made: three runs with the
+ * same bits. */
+static void columns_keep_their_budgets_and_change_nothing(void **unused)
+{
+    uint64_t hash[3];
+    int run;
+    (void)unused;
+    for (run = 0; run < 3; ++run) {
+        sfem_contact_def few = sfem_default_contact_def();
+        sfem_body_def def = falling();
+        sfem_mesh mesh = block(4, 0.3);
+        sfem_int most = 0, before = 0;
+        scene s;
+        int k;
+        if (run > 0) few.column_flops = 0;
+        if (run == 2) few.cache_bytes = 5 * 36 * 98; /* columns of 98 nodes of the surface */
+        shift(&mesh, 0, 0, 0.2);
+        s = scene_with(mesh, SFEM_COROTATIONAL, 1e6, 0.3, &few);
+        add_body(&s, &def, 0.5);
+        add_plane(&s, 0, 1, 0, 0.5, 0);
+        for (k = 0; k < 40; ++k) {
+            step(&s, 1.0 / 60);
+            if (sfem_contact_get_info(s.contact).contacts == 0 && most == 0)
+                before = sfem_contact_get_info(s.contact).columns;
+            else if (sfem_contact_get_info(s.contact).columns > most) most = sfem_contact_get_info(s.contact).columns;
+        }
+        hash[run] = hash_reals(sfem_body_displacement(s.body[0]), 3 * (size_t)s.mesh.nodes);
+        assert_true(sfem_contact_get_info(s.contact).contacts > 0);
+        if (run == 0) assert_true(before >= 25); /* all of the face that lands */
+        else assert_int_equal(before, 0);
+        if (run == 2) assert_true(most > 0 && most <= 5);
+        else assert_true(most >= 25);
+        drop(&s);
+    }
+    assert_true(hash[0] == hash[1] && hash[1] == hash[2]);
+}
+
 /* --------------------------------------------------------------------------------------------
  * saved states
  * -------------------------------------------------------------------------------------------- */
@@ -1960,6 +1997,7 @@ int main(void)
         cmocka_unit_test(overlaps_are_pushed_out_slowly),
         cmocka_unit_test(held_and_linear_bodies_touch_too),
         cmocka_unit_test(a_body_with_slivers_is_dropped_and_thrown),
+        cmocka_unit_test(columns_keep_their_budgets_and_change_nothing),
         cmocka_unit_test(saved_states_go_on_with_the_same_bits),
         cmocka_unit_test(own_contact_equals_the_one_that_is_built_in),
         cmocka_unit_test(own_impulses_are_in_the_budget_and_in_rejected_steps),
