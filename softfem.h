@@ -1895,8 +1895,8 @@ typedef struct sfem_contact_def {
                                 * those that have not been of use for longest go; with less than a step needs it makes
                                 * them again in each. Only while they are made there are up to 8 columns more. Beside
                                 * it a body keeps 36 bytes for each pair of nodes that are in contact */
-    sfem_real column_flops;    /* a step, for columns of nodes that will touch within 8 steps, >= 0; 3e7. Bodies that come
-                                * near have them made early, two nodes a step or more; 0: when they touch */
+    sfem_real column_flops;    /* multiply-adds a step for columns of nodes that will touch within 8 steps, >= 0; 3e7. Bodies
+                                * that come near have them made early, of two nodes a step or more; 0: when they touch */
     sfem_allocator allocator;
 } sfem_contact_def;
 SFEM_DEF sfem_contact_def sfem_default_contact_def(void);
@@ -29251,6 +29251,7 @@ struct sfem_contact {
     sfemi_columns *columns;
     size_t column_bytes;
     int64_t step, columns_made;
+    sfem_real early; /* multiply-adds left in this step for columns that are made early */
     sfem_contact_info info;
     sfem_contact_point *point;
     sfem_int points, point_room;
@@ -30349,16 +30350,20 @@ static void sfemi_columns_trim(sfem_contact *c)
     while (c->column_bytes > c->def.cache_bytes && sfemi_columns_drop_oldest(c, c->step + 1)) {}
 }
 
-/* How many nodes' columns may be made early in a step: a block of 8 right sides takes 32 multiply-adds for a number in L. */
+/* A block of 8 right sides takes 32 multiply-adds for a number in L. */
+static sfem_real sfemi_columns_cost(const sfemi_columns *k, sfem_int nodes)
+{
+    return 32 * (sfem_real)sfem_ldl_get_info(k->factor->ldl).nnz * (sfem_real)((3 * nodes + 7) / 8);
+}
+
+/* How many nodes' columns may be made early now. */
 static sfem_int sfemi_columns_early(const sfem_contact *c, const sfemi_columns *k)
 {
     const size_t bytes = 9 * (size_t)k->surface * sizeof(float);
     const size_t room = c->def.cache_bytes > c->column_bytes ? (c->def.cache_bytes - c->column_bytes) / bytes : 0;
-    sfem_real blocks;
-    sfem_int most;
-    if (!(c->def.column_flops > 0) || !k->factor->ldl) return 0;
-    blocks = c->def.column_flops / (32 * (sfem_real)sfem_ldl_get_info(k->factor->ldl).nnz);
-    most = blocks < 1 ? 2 : blocks < 3 ? (sfem_int)(blocks * 8 / 3) : SFEMI_COLUMN_BATCH;
+    sfem_int most = SFEMI_COLUMN_BATCH;
+    if (!(c->early > 0) || !k->factor->ldl) return 0;
+    while (most > 2 && sfemi_columns_cost(k, most) > c->early) --most;
     return room < (size_t)most ? (sfem_int)room : most;
 }
 
@@ -30371,7 +30376,7 @@ static sfem_status sfemi_columns_expect(sfem_contact *c, sfemi_touch *t, sfem_re
     sfem_status status = SFEM_OK;
     sfem_real box[2][3];
     int k;
-    if (!(c->def.column_flops > 0)) return SFEM_OK;
+    if (!(c->early > 0)) return SFEM_OK;
     for (k = 0; k < 3; ++k) box[0][k] = 1e300, box[1][k] = -1e300;
     for (i = 0; i < t->nodes; ++i)
         for (k = 0; k < 3; ++k) {
@@ -30402,7 +30407,10 @@ static sfem_status sfemi_columns_expect(sfem_contact *c, sfemi_touch *t, sfem_re
         }
     }
     for (i = 0; i < count; ++i) t->row_of[t->node[which[i]]] = -1;
-    if (count) SFEMI_TRY(sfemi_columns_make(c, t, which, count, err));
+    if (count) {
+        SFEMI_TRY(sfemi_columns_make(c, t, which, count, err));
+        c->early -= sfemi_columns_cost(t->columns, count);
+    }
 done:
     return status;
 }
@@ -31529,7 +31537,7 @@ static int sfemi_contact_find_impact(sfem_contact *c, sfemi_touch *t)
         change += more;
         size += now;
     }
-    if (!(change > 1e-3 * size)) return 0;
+    if (!(change > 0.1 * size)) return 0; /* it goes on as a force does */
     sfemi_contact_transpose(c, t, 1, c->x);
     sfemi_contact_respond(c, t, c->x);
     for (i = 0; i < 3 * b->model->mesh.nodes; ++i) c->x[i] /= b->step.d;
@@ -31722,6 +31730,7 @@ SFEM_DEF sfem_status sfem_contact_step(sfem_contact *c, sfem_real h, sfem_error 
     status = sfemi_contact_check_step(c, h, err);
     if (status != SFEM_OK) return status;
     ++c->step;
+    c->early = c->def.column_flops;
     c->info.sweeps = c->info.systems = c->info.pushed = c->info.rejected = 0;
     for (i = 0; i < c->obstacles; ++i) {
         sfemi_obstacle *o = c->obstacle + i;

@@ -631,7 +631,7 @@ static void a_hundred_bodies_rest_on_one_floor(void **unused)
         assert_true(lowest(&s, i) > -1e-3);
     }
     assert_int_equal(asleep, 100);
-    assert_true(sfem_contact_get_info(s.contact).columns_made <= 9);
+    assert_true(sfem_contact_get_info(s.contact).columns_made <= 26); /* once for each node of a surface, not of 100 */
     drop(&s);
 }
 
