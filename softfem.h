@@ -26,6 +26,7 @@
  *     number, select    sfem_mesh_renumber, _components, _remove_unused; sfem_mesh_pick_ray, _locate
  *     make a model      sfem_default_material, sfem_default_model_def, sfem_model_create, _free; sfem_model_advice
  *     matrices, forces  sfem_model_stiffness, _combine, _forces, _tangent; sfem_add_gravity, _traction, _pressure
+ *                       of smooth tets sfem_model_assemble_stiffness, _smooth_info, _smooth_patch
  *     make a body       sfem_default_body_def, sfem_body_create, _free; sfem_body_place, _set_state
  *     step              sfem_body_step, or _predict, _solve, _finish; sfem_body_prepare; sfem_body_is_asleep, _wake
  *     rest              sfem_body_solve_static
@@ -35,7 +36,7 @@
  *     touch obstacles   sfem_contact_create, _add_body, _add_obstacle, _move_obstacle, _step, _points, _save_state, _free
  *                       sfem_obstacle_plane; sfem_contact_obstacle_force; your own: sfem_body_apply_impulses
  *     look at           sfem_body_positions, _velocities, _displacement, _energy, _get_info, _reactions
- *                       sfem_body_handle_force; sfem_model_stress
+ *                       sfem_body_handle_force; sfem_model_stress, _smooth_stress
  *     render            sfem_mesh_surface, sfem_body_to_floats, sfem_body_normals; sfem_surface_normals
  *                       sfem_embed_create, sfem_embed_to_floats, sfem_embed_break
  *     cut and break     sfem_default_damage_def; sfem_body_cut, _break_edge, _heal; sfem_body_fracture, _breaks
@@ -81,6 +82,7 @@
  *            >>eigen        eigenvalues of full and band matrices
  *            >>cg           conjugate gradients
  *            >>element      linear, corotational, StVK, neo-Hookean tetrahedron; edge lengths
+ *            >>smooth       tets that do not lock: stars, patches, their forces and matrices
  *            >>fem          assembly, mass, damping, forces, tangents, loads, stress
  *            >>damage       edge form of the tet, damage laws, criterion, pieces
  *            >>factor       the shared factor of a body's system matrix
@@ -138,18 +140,20 @@
  *     SFEM_NO_DAMAGE     without fracture, >>api-damage
  *     SFEM_NO_NEWTON     without the integrators that iterate by Newton, and statics of nonlinear laws: bodies step by
  *                        (p,q,r) and its kin, or if linear by Newmark. The energy safeguard keeps its iteration
+ *     SFEM_NO_SMOOTH     without smooth tets (sfem_tet): models of linear ones only
  *     SFEM_NO_CONTACT    without contact with obstacles, >>api-contact
  *     SFEM_NO_BODY       without bodies that step by nodes, >>api-body, fracture, Newton's iteration and contact
  *     SFEM_NO_MODEL      without matrices, solvers, materials and models, >>api-matrix, >>api-element, >>api-model, and
  *                        what is made of them: bodies and modes
  *     SFEM_MINIMAL       meshes without all of these, but for those that an SFEM_ENABLE_ switch names:
  *     SFEM_ENABLE_MESHIO, SFEM_ENABLE_MESHER, SFEM_ENABLE_EMBED, SFEM_ENABLE_MODEL, SFEM_ENABLE_BODY (with models),
- *     SFEM_ENABLE_DAMAGE, SFEM_ENABLE_NEWTON and SFEM_ENABLE_CONTACT (with bodies), SFEM_ENABLE_MODES (with models),
- *     SFEM_ENABLE_REDUCED, SFEM_ENABLE_LINK (with reduced models). SFEM_ENABLE_REDUCED alone plays reduced models that
- *     were saved; with SFEM_ENABLE_MODES it makes them
+ *     SFEM_ENABLE_DAMAGE, SFEM_ENABLE_NEWTON and SFEM_ENABLE_CONTACT (with bodies), SFEM_ENABLE_SMOOTH and
+ *     SFEM_ENABLE_MODES (with models), SFEM_ENABLE_REDUCED, SFEM_ENABLE_LINK (with reduced models).
+ *     SFEM_ENABLE_REDUCED alone plays reduced models that were saved; with SFEM_ENABLE_MODES it makes them
  *
- * LIMITS. Linear (4-node) tetrahedra. Node and tet counts below 2^31. Bodies touch obstacles; they do not touch each
- * other or themselves, and modal bodies touch nothing. No remeshing.
+ * LIMITS. 4-node tetrahedra: linear ones, which lock, or smooth ones, which do not (sfem_tet) but cannot break yet. Node
+ * and tet counts below 2^31. Bodies touch obstacles; they do not touch each other or themselves, and modal bodies touch
+ * nothing. No remeshing.
  */
 #ifndef SOFTFEM_H
 #define SOFTFEM_H
@@ -195,7 +199,11 @@
 #if !defined(SFEM_NO_MODES) && !defined(SFEM_ENABLE_MODES)
 #define SFEM_NO_MODES
 #endif
-#if !defined(SFEM_NO_MODEL) && !defined(SFEM_ENABLE_MODEL) && defined(SFEM_NO_BODY) && defined(SFEM_NO_MODES)
+#if !defined(SFEM_NO_SMOOTH) && !defined(SFEM_ENABLE_SMOOTH)
+#define SFEM_NO_SMOOTH
+#endif
+#if !defined(SFEM_NO_MODEL) && !defined(SFEM_ENABLE_MODEL) && defined(SFEM_NO_BODY) && defined(SFEM_NO_MODES) && \
+    defined(SFEM_NO_SMOOTH)
 #define SFEM_NO_MODEL
 #endif
 #endif
@@ -217,17 +225,23 @@
 #if (defined(SFEM_ENABLE_DAMAGE) || defined(SFEM_ENABLE_NEWTON)) && defined(SFEM_NO_BODY)
 #error "softfem.h: fracture and Newton's iteration are parts of bodies: define SFEM_NO_BODY, or SFEM_ENABLE_DAMAGE or SFEM_ENABLE_NEWTON, not both"
 #endif
+#if defined(SFEM_ENABLE_SMOOTH) && defined(SFEM_NO_SMOOTH)
+#error "softfem.h: SFEM_ENABLE_SMOOTH and SFEM_NO_SMOOTH are both defined: define only one of them"
+#endif
 #if defined(SFEM_ENABLE_MODEL) && defined(SFEM_NO_MODEL)
 #error "softfem.h: SFEM_ENABLE_MODEL and SFEM_NO_MODEL are both defined: define only one of them"
 #endif
 #ifdef SFEM_NO_MODEL
-#if defined(SFEM_ENABLE_BODY) || defined(SFEM_ENABLE_DAMAGE) || defined(SFEM_ENABLE_NEWTON) || defined(SFEM_ENABLE_MODES)
-#error "softfem.h: bodies and modes are made of models: define SFEM_NO_MODEL, or SFEM_ENABLE_ of one of them, not both"
+#if defined(SFEM_ENABLE_BODY) || defined(SFEM_ENABLE_DAMAGE) || defined(SFEM_ENABLE_NEWTON) || \
+    defined(SFEM_ENABLE_MODES) || defined(SFEM_ENABLE_SMOOTH)
+#error "softfem.h: bodies, modes and smooth tets are made of models: define SFEM_NO_MODEL, or SFEM_ENABLE_ of one of them, not both"
 #endif
 #undef SFEM_NO_BODY
 #undef SFEM_NO_MODES
+#undef SFEM_NO_SMOOTH
 #define SFEM_NO_BODY
 #define SFEM_NO_MODES
+#define SFEM_NO_SMOOTH
 #endif
 #ifdef SFEM_NO_BODY
 #undef SFEM_NO_DAMAGE
@@ -552,8 +566,8 @@ SFEM_DEF sfem_status sfem_mesh_near(const sfem_mesh *mesh, const sfem_patch *pat
  *                            gmsh:physical, gmsh:geometrical, CellEntityIds, material or MaterialId, if any
  *   Medit (.mesh, .meshb)    ASCII and binary in either order of bytes, format versions 1 to 4,
  *                            dimension 3; region is the reference of the tet; keywords in either
- *                            case, Vertices before Tetrahedra, all others passed over, End may be
- *                            missing
+ *                            case, Vertices before Tetrahedra, which may be several sections, all
+ *                            others passed over, End may be missing
  *   Abaqus (.inp)            one part, without a moved instance: *NODE; *ELEMENT of C3D4 and its kin; *NSET, *ELSET,
  *                            also GENERATE; *SOLID SECTION, *MATERIAL with an isotropic *ELASTIC and *DENSITY.
  *                            Region is the number of the last *SOLID SECTION with the tet, from 0 (-1 without one);
@@ -682,7 +696,8 @@ SFEM_DEF sfem_status sfem_mesh_read_sets(const char *path, const sfem_mesh_read_
  * written to the end (the disk is full), and what is there of it then is useless. SFEM_BAD_MESH for
  * negative counts, before anything is opened. */
 
-/* Gmsh 4.1 ASCII, regions as entity numbers: sfem_mesh_read gives the same mesh again. */
+/* Gmsh 4.1 ASCII, each region a volume of its number: sfem_mesh_read gives the same mesh again. Scratch from the mesh's
+ * allocator: SFEM_OUT_OF_MEMORY. */
 SFEM_DEF sfem_status sfem_mesh_write_msh(const char *path, const sfem_mesh *mesh, sfem_error *err);
 
 /* Values at nodes or in tets, to be written next to the mesh. */
@@ -705,7 +720,8 @@ SFEM_DEF sfem_status sfem_mesh_write_pvd(const char *path, const char *const *fi
                                     const sfem_real *times, sfem_int count, sfem_error *err);
 
 /* Wavefront OBJ of a surface at positions x (NULL = rest): only the nodes on it, in mesh order.
- * surface NULL = the mesh's own. Scratch from the mesh's allocator: SFEM_OUT_OF_MEMORY. */
+ * surface NULL = the mesh's own. Scratch from the mesh's allocator: SFEM_OUT_OF_MEMORY. SFEM_BAD_MESH also for a
+ * triangle that names a node that is not there. */
 SFEM_DEF sfem_status sfem_mesh_write_obj(const char *path, const sfem_mesh *mesh,
                                     const sfem_surface *surface, const sfem_real *x,
                                     sfem_error *err);
@@ -1110,14 +1126,30 @@ enum { SFEM_AXIS_X = 1, SFEM_AXIS_Y = 2, SFEM_AXIS_Z = 4, SFEM_AXIS_ALL = 7 };
 
 typedef enum sfem_mass { SFEM_MASS_LUMPED, SFEM_MASS_CONSISTENT } sfem_mass;
 
+/* How tets are put together.
+ *   SFEM_TET_LINEAR  each tet has its own deformation gradient. They lock: too stiff in bending, and the more so as nu
+ *                    nears 0.5
+ *   SFEM_TET_SMOOTH  shear is that of gradients averaged at the nodes, volume that of patches of about four tets, and
+ *                    a part of the difference from the tets' own gradients keeps modes without energy away (>>smooth).
+ *                    For any nu from 0 on; not with SFEM_STVK. All materials of a model have the same tets; averages
+ *                    do not cross materials that differ in modulus, nu or law. K couples nodes two edges apart;
+ *                    factors are made of K0, an upper bound of K on fewer blocks, and solutions with K itself by
+ *                    iteration. A linear body's step of (p,q,r) is one solve with K0: unconditionally stable, with
+ *                    twice the error in time of K itself, which SFEM_NEWMARK takes. In steps of (p,q,r) of laws that
+ *                    rotate nu counts as 0.48 at most (sfem_body_info).
+ *                    Not with damage or KR-alpha. Creation takes about 4 us a tet, the structures 250 bytes a tet
+ *                    (measured) */
+typedef enum sfem_tet { SFEM_TET_LINEAR, SFEM_TET_SMOOTH } sfem_tet;
+
 /* An isotropic material. The damping matrix of a tet is alpha M_e + beta K_e (Rayleigh). */
 typedef struct sfem_material {
     sfem_real young;   /* Young's modulus, Pa, > 0 */
-    sfem_real poisson; /* Poisson's ratio, -1 < nu < 0.5; linear tets lock as nu nears 0.5 */
+    sfem_real poisson; /* Poisson's ratio, -1 < nu < 0.5; linear tets lock as nu nears 0.5, see sfem_tet */
     sfem_real density; /* kg/m^3, > 0 */
     sfem_real mass_damping;      /* alpha, 1/s, >= 0 */
     sfem_real stiffness_damping; /* beta, s, >= 0 */
     sfem_law law;      /* >>api-element; K, M, D are the same for all */
+    sfem_tet tet;
 } sfem_material;
 
 SFEM_DEF sfem_material sfem_default_material(void); /* 1e6 Pa, 0.3, 1000 kg/m^3, undamped, corotational */
@@ -1140,7 +1172,7 @@ typedef struct sfem_model_def {
 
 SFEM_DEF sfem_model_def sfem_default_model_def(void);
 
-/* Builds a model of linear tetrahedra, K_e = V B^T C B.
+/* Builds a model of linear tetrahedra, K_e = V B^T C B, or smooth ones (sfem_tet).
  *   errors  SFEM_BAD_MESH (empty, index out of range, flat or left-handed tet), SFEM_NOT_FINITE,
  *           SFEM_BAD_ARGUMENT (material, region, damping pattern), SFEM_OUT_OF_MEMORY,
  *           SFEM_TOO_LARGE; the text names the tet or node
@@ -1150,7 +1182,7 @@ SFEM_DEF sfem_status sfem_model_create(const sfem_model_def *def, sfem_model **o
 SFEM_DEF void sfem_model_free(sfem_model *model); /* NULL allowed; freed with the last body */
 
 SFEM_DEF const sfem_mesh *sfem_model_mesh(const sfem_model *model);
-SFEM_DEF const sfem_matrix *sfem_model_stiffness(const sfem_model *model); /* K, N/m */
+SFEM_DEF const sfem_matrix *sfem_model_stiffness(const sfem_model *model); /* K, N/m; of smooth tets K0 >= K */
 SFEM_DEF const sfem_real *sfem_model_node_mass(const sfem_model *model);   /* [nodes] row sums of M, kg */
 SFEM_DEF const sfem_real *sfem_model_tet_volume(const sfem_model *model);  /* [tets] m^3 */
 SFEM_DEF sfem_real sfem_model_total_mass(const sfem_model *model);         /* kg */
@@ -1164,10 +1196,27 @@ SFEM_DEF sfem_real sfem_model_total_mass(const sfem_model *model);         /* kg
 SFEM_DEF int sfem_model_advice(const sfem_model *model, sfem_real h, char *text, size_t size);
 
 /* out = k K + m M + d D, a new matrix on K's pattern; free it with sfem_matrix_free. (k,m,d) = (0,1,0) gives M, (0,0,1)
- * D, (p h^2, r, q h/2) the matrix that (p,q,r) factors. */
+ * D, (p h^2, r, q h/2) the matrix that (p,q,r) factors. Of smooth tets K is K0 here, in D too. */
 SFEM_DEF sfem_status sfem_model_combine(const sfem_model *model, sfem_real k, sfem_real m, sfem_real d,
                                         const sfem_allocator *allocator, sfem_matrix *out,
                                         sfem_error *err);
+
+/* K itself, of smooth tets too, a new matrix; free it with sfem_matrix_free. Of smooth tets it has 2 to 5 times as many
+ * blocks as K0. */
+SFEM_DEF sfem_status sfem_model_assemble_stiffness(const sfem_model *model, const sfem_allocator *allocator,
+                                                   sfem_matrix *out, sfem_error *err);
+
+#ifndef SFEM_NO_SMOOTH
+/* Of smooth tets; all zero for linear ones. least K0 <= K <= K0 in the sense of energies. */
+typedef struct sfem_smooth_info {
+    sfem_int stars, patches;
+    sfem_real least; /* the least weight of the stabilisation: 0.12 but where a star's shape allows less */
+    size_t bytes;    /* what the model holds for them */
+} sfem_smooth_info;
+SFEM_DEF sfem_smooth_info sfem_model_smooth_info(const sfem_model *model);
+/* [tets] the patch of each tet, from 0; NULL for linear tets. */
+SFEM_DEF const sfem_int *sfem_model_smooth_patch(const sfem_model *model);
+#endif
 
 /* y = K x, M x or D x; arrays [nodes][3], y must not be x. */
 SFEM_DEF void sfem_model_multiply_stiffness(const sfem_model *model, const sfem_real *x, sfem_real *y,
@@ -1183,7 +1232,8 @@ SFEM_DEF void sfem_model_multiply_damping(const sfem_model *model, const sfem_re
  *   rotation  [tets][3][3] nearest rotation of each F, I for linear tets; or NULL
  *   inverted  how many tets have det F <= 0; or NULL
  *   work      [sfem_model_work_size] reals
- *   cost      a tet, with AVX2: linear 12 ns, StVK 15, neo-Hookean 20, corotational 24, mixed 19;
+ *   cost      a tet, with AVX2: linear 12 ns, StVK 15, neo-Hookean 20, corotational 24, mixed 19; smooth tets 35, 37
+ *             and 40;
  *             0.7 us for one whose R is almost undetermined. A u that is not finite gives an
  *             energy that is not finite.
  * Allocates nothing. The bits are the same for any number of threads, but differ between vector widths
@@ -1195,7 +1245,9 @@ SFEM_DEF sfem_real sfem_model_forces(const sfem_model *model, const sfem_real *u
                                      const sfem_exec *exec);
 
 /* The derivative of that force, N/m. It overwrites the values of a matrix on K's pattern, such as sfem_model_combine
- * makes. 0.2 (linear) to 0.8 us a tet. Allocates nothing. The bits are the same for any number of threads. */
+ * makes. 0.2 (linear) to 0.8 us a tet. Allocates nothing. The bits are the same for any number of threads.
+ * Smooth tets: the derivative itself on the pattern of sfem_model_assemble_stiffness; on that of sfem_model_combine K0
+ * at u, each tet's shear and each patch's volume in its own rotation. */
 SFEM_DEF void sfem_model_tangent(const sfem_model *model, const sfem_real *u, sfem_tangent kind,
                                  sfem_matrix *tangent, const sfem_exec *exec);
 
@@ -1205,6 +1257,14 @@ SFEM_DEF void sfem_model_tangent(const sfem_model *model, const sfem_real *u, sf
  * NULL. Costs one sfem_law_stress a tet; allocates nothing. */
 SFEM_DEF void sfem_model_stress(const sfem_model *model, const sfem_real *u, sfem_real *stress,
                                 sfem_real *von_mises);
+#ifndef SFEM_NO_SMOOTH
+/* Of smooth tets the stress of a tet is the mean of the shear stresses of its nodes' averaged gradients and the volume
+ * part of its patch. This gives it at the nodes [nodes][6], where surfaces and bending are the better for it: the
+ * shear stress there and the mean volume part of the patches around. pressure [patches] (sfem_model_smooth_patch), Pa,
+ * positive in compression: -tr(stress)/3 of a patch's mean gradient. Either may be NULL. Allocates nothing. */
+SFEM_DEF void sfem_model_smooth_stress(const sfem_model *model, const sfem_real *u, sfem_real *node_stress,
+                                       sfem_real *pressure);
+#endif
 /* 1/2 u.K u, J, summed from the tets' own strains. */
 SFEM_DEF sfem_real sfem_model_elastic_energy(const sfem_model *model, const sfem_real *u);
 
@@ -1498,6 +1558,9 @@ typedef struct sfem_body_def {
     sfem_real gui_lambda;     /* of Gui's method, > 0; 4. Above 4 the step is limited */
     sfem_real hht_alpha;      /* of HHT, 0 (trapezoidal) to 1/3; 0.1 */
     sfem_newton_def newton;
+    int exact_statics;        /* linear bodies of smooth tets: 0, the default: a static solution is iterated, by
+                               * conjugate gradients with the factor of K0, to newton.tolerance; sfem_body_newton tells
+                               * how it went. 1: K itself is factorised, 8 to 20 times the operations */
     sfem_damping_force damping_force; /* all zero: none */
     sfem_start start;
     sfem_frame frame;         /* (p,q,r) of nonlinear laws */
@@ -1505,11 +1568,12 @@ typedef struct sfem_body_def {
                                * comes, even if it makes energy */
     const struct sfem_damage_def *damage; /* the body can break (>>api-damage); (p,q,r) and central differences, lumped mass.
                                * NULL, the default: it cannot, at no cost. Read by create only */
-    sfem_real accuracy;       /* (p,q,r) of nonlinear laws, in (0, 1]. A step is corrected until one more correction is
-                               * expected to gain less than this part of the energy in motion (the largest recent
-                               * kinetic energy). 1e-6, the default: within a factor of two of the errors of full
-                               * Newton. 1e-4: a third fewer solves. 1: one solve a step, no corrections. 1e-20: to
-                               * rounding (velocities are off by the square root, since it is an energy) */
+    sfem_real accuracy;       /* (p,q,r) of nonlinear laws, in (0, 1]. A step is corrected until one
+                               * more correction is expected to gain less than this part of the energy in motion (the
+                               * largest recent kinetic energy). 1e-6, the default: within a factor of two of the
+                               * errors of full Newton. 1e-4: a third fewer solves. 1: one solve a step, no
+                               * corrections. 1e-20: to rounding (velocities are off by the square root, since it is an
+                               * energy) */
     sfem_real dissipation;    /* of corrected steps, 0 to 1/3: HHT's alpha. 0.1, the default, damps what a step does not
                                * resolve. 0: Newmark(1/4, 1/2), conservative */
     sfem_real refactorise;    /* (p,q,r) of nonlinear laws and of damage: the work a step on a factor of the present
@@ -1673,7 +1737,8 @@ typedef struct sfem_energy {
     sfem_real total;                  /* their sum */
     sfem_real conserved; /* J, what the integrator conserves without damping under constant load: exactly for linear
                           * bodies, nearly for others. Motion of the centres of free pieces does not count.
-                          *   (p,q,r), linear     1/2 w.(r M + p h^2 K) w + (E + E-)/2 - (u-u-).(f-f-)/4 - F.(u+u-)/2
+                          *   (p,q,r), linear     1/2 w.(r M + p h^2 K) w + (E + E-)/2 - (u-u-).(f-f-)/4 - F.(u+u-)/2,
+                          *                       with p h^2 K0 of smooth tets
                           *   (p,q,r), nonlinear  1/2 w.r M w + (E + E-)/2 + (p - 1/2)(u-u-).(f-f-)/2 - F.(u+u-)/2;
                           *                       after a rejected step 1/2 w.r M w + E - F.u
                           *   Newmark(beta, 1/2)  total + (beta - 1/4) h^2/2 a.M a */
@@ -1696,6 +1761,8 @@ typedef struct sfem_body_info {
     int64_t solves;           /* with the factor, of (p,q,r) bodies that rotate */
     int64_t evaluations;      /* of their forces */
     sfem_int corrections;     /* in the last step */
+    sfem_real poisson;        /* the largest Poisson's ratio that its steps take: of smooth tets whose law rotates at
+                               * most 0.48, except in Newton's methods, statics and modes, which take any */
 } sfem_body_info;
 SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *body);
 
@@ -7013,6 +7080,8 @@ static sfem_status sfemi_gmsh_read(sfemi_gmsh *g)
         if (*w.p != '$') return sfemi_scan_expected(s, "a section like $Nodes", w);
         if (sfemi_word_is(w, "$MeshFormat"))
             status = sfemi_gmsh_format(g, start);
+        else if (!g->has_format && sfemi_word_is(w, "$NOD"))
+            return sfemi_scan_fail(s, SFEM_FORMAT, "Gmsh 1: only 2.0 to 2.2 and 4.1 are read");
         else if (!g->has_format)
             return sfemi_scan_expected(s, "$MeshFormat", w);
         else if (sfemi_word_is(w, "$Entities") || sfemi_word_is(w, "$PartitionedEntities"))
@@ -7021,6 +7090,8 @@ static sfem_status sfemi_gmsh_read(sfemi_gmsh *g)
             status = sfemi_gmsh_names(g);
         else if (sfemi_word_is(w, "$Nodes"))
             status = sfemi_gmsh_nodes(g);
+        else if (sfemi_word_is(w, "$ParametricNodes"))
+            return sfemi_scan_fail(s, SFEM_FORMAT, "$ParametricNodes: write the file without Mesh.SaveParametric, or as 4.1");
         else if (sfemi_word_is(w, "$Elements"))
             status = sfemi_gmsh_elements(g);
         else
@@ -7054,12 +7125,18 @@ typedef struct sfemi_vtk_shape {
 
 static sfemi_vtk_shape sfemi_vtk_shape_of(int type)
 {
-    static const sfemi_vtk_shape table[35] = {
+    static const sfemi_vtk_shape table[82] = {
         {0, 0, 0}, {1, 0, 0}, {0, 0, 0}, {2, 1, 0}, {0, 1, 0},   {3, 2, 3},  {0, 2, 0},  {0, 2, 255}, {4, 2, 0},
         {4, 2, 4}, {4, 3, 0}, {8, 3, 0}, {8, 3, 0}, {6, 3, 0},   {5, 3, 0},  {0, 3, 0},  {0, 3, 0},   {0, 0, 0},
         {0, 0, 0}, {0, 0, 0}, {0, 0, 0}, {3, 1, 0}, {6, 2, 3},   {8, 2, 4},  {10, 3, 0}, {0, 3, 0},   {0, 3, 0},
-        {0, 3, 0}, {9, 2, 4}, {0, 3, 0}, {0, 2, 4}, {0, 3, 0},   {0, 3, 0},  {0, 3, 0},  {7, 2, 3}};
-    return table[type < 35 ? type : 0];
+        {0, 3, 0}, {9, 2, 4}, {0, 3, 0}, {0, 2, 4}, {0, 3, 0},   {0, 3, 0},  {0, 3, 0},  {7, 2, 3},
+        {0, 1, 0}, {0, 2, 0}, {0, 3, 0}, {0, 0, 0}, {0, 0, 0},   {0, 0, 0},  {0, 3, 0},  {0, 3, 0},   {0, 0, 0}, /* 35.. */
+        {0, 0, 0}, {0, 0, 0}, {0, 0, 0}, {0, 0, 0}, {0, 0, 0},   {0, 0, 0},  {0, 0, 0},  {0, 1, 0},   {0, 2, 0},
+        {0, 2, 0}, {0, 2, 0}, {0, 3, 0}, {0, 3, 0}, {0, 0, 0},   {0, 0, 0},  {0, 0, 0},  {0, 1, 0},   {0, 2, 3}, /* 53.. */
+        {0, 2, 4}, {0, 2, 0}, {0, 3, 0}, {0, 3, 0}, {0, 3, 0},   {0, 3, 0},  {0, 1, 0},  {0, 2, 3},   {0, 2, 4},
+        {0, 3, 0}, {0, 3, 0}, {0, 3, 0}, {0, 3, 0}, {0, 1, 0},   {0, 2, 3},  {0, 2, 4},  {0, 3, 0},   {0, 3, 0}, /* 71.. */
+        {0, 3, 0}, {0, 3, 0}};
+    return table[type < 82 ? type : 0];
 }
 
 /* May the array of that name tell the regions of cells? */
@@ -7161,8 +7238,9 @@ static sfem_status sfemi_vtk_other(sfemi_vtk *r, int type, int64_t nodes, int64_
     sfem_status status;
     int64_t v;
     SFEMI_TRY(sfemi_extra_in(r->x, shape.dimension, region));
-    if (type != 24) sfemi_extra_begin(r->x, shape.dimension, shape.corners == 255 ? nodes : shape.corners);
-    if (!r->x->ins && !r->x->faces) return sfemi_typed_skip(s, r->cell_type, nodes, "another number of a cell");
+    sfemi_extra_begin(r->x, type == 24 ? -1 : shape.dimension, shape.corners == 255 ? nodes : shape.corners);
+    if (!r->x->ins && !(r->x->faces && r->x->corners)) /* the numbers of a polyhedron are not nodes only */
+        return sfemi_typed_skip(s, r->cell_type, nodes, "another number of a cell");
     for (; nodes > 0; --nodes) {
         SFEMI_TRY(sfemi_typed_integer(s, r->cell_type, INT64_MIN, INT64_MAX, "a node of a cell", &v));
         if (v < 0 || v >= r->m.nodes)
@@ -7361,6 +7439,47 @@ done:
     return status;
 }
 
+/* The type of an array, which may be one of bits or strings, too. */
+static sfem_status sfemi_vtk_array_type(sfemi_vtk *r, const sfemi_type **type)
+{
+    static const sfemi_type more[2] = {{"bit", 1, 'b'}, {"string", 1, 's'}};
+    const sfemi_word w = sfemi_scan_peek(&r->s);
+    int k;
+    for (k = 0; k < 2; ++k)
+        if (sfemi_word_is(w, more[k].name)) {
+            *type = more + k;
+            r->s.p += w.n;
+            return SFEM_OK;
+        }
+    return sfemi_vtk_type(r, "the type of an array", type);
+}
+
+/* Goes past so many strings: in text lines, in binary files each behind its length, of which the first two bits tell the
+ * bytes: 8, 4, 2, 1. */
+static sfem_status sfemi_vtk_strings(sfemi_scan *s, int64_t count)
+{
+    sfem_status status = SFEM_OK;
+    uint64_t bytes = 0, byte = 0;
+    int more;
+    if (!s->order) sfemi_scan_skip_line(s);
+    for (; count > 0; --count) {
+        if (s->p == s->end) return sfemi_scan_fail(s, SFEM_FORMAT, "expected another string, but the data ends");
+        if (!s->order) {
+            sfemi_scan_skip_line(s);
+            continue;
+        }
+        SFEMI_TRY(sfemi_scan_bits(s, 1, "the length of a string", &bytes));
+        more = (8 >> (bytes >> 6)) - 1;
+        for (bytes &= 63; more > 0; --more) {
+            SFEMI_TRY(sfemi_scan_bits(s, 1, "the length of a string", &byte));
+            bytes = bytes << 8 | byte;
+        }
+        SFEMI_TRY(sfemi_scan_skip_bytes(s, bytes, "a string"));
+    }
+done:
+    return status;
+}
+
 /* An array of values, of which only the regions of `cells` cells are kept; 0: the values are no cells'. */
 static sfem_status sfemi_vtk_array(sfemi_vtk *r, sfemi_word name, const sfemi_type *type, int64_t components,
                                    int64_t tuples, sfem_int cells)
@@ -7372,7 +7491,12 @@ static sfem_status sfemi_vtk_array(sfemi_vtk *r, sfemi_word name, const sfemi_ty
         r->region_scan = r->s;
         r->region_type = type;
     }
-    SFEMI_TRY(sfemi_typed_skip(&r->s, type, components * tuples, "another value of an array"));
+    if (type->kind == 's')
+        status = sfemi_vtk_strings(&r->s, components * tuples);
+    else if (type->kind == 'b' && r->s.order)
+        status = sfemi_scan_skip_bytes(&r->s, (uint64_t)(components * tuples + 7) / 8, "another bit of an array");
+    else
+        status = sfemi_typed_skip(&r->s, type, components * tuples, "another value of an array");
 done:
     r->s.order = 0;
     return status;
@@ -7402,7 +7526,7 @@ static sfem_status sfemi_vtk_field(sfemi_vtk *r, sfem_int cells)
         if (!name.n) return sfemi_scan_expected(s, "the name of an array", name);
         SFEMI_TRY(sfemi_scan_integer(s, 0, INT32_MAX, "a count of components", &components));
         SFEMI_TRY(sfemi_scan_integer(s, 0, INT32_MAX, "a count of tuples", &tuples));
-        SFEMI_TRY(sfemi_vtk_type(r, "the type of an array", &type));
+        SFEMI_TRY(sfemi_vtk_array_type(r, &type));
         SFEMI_TRY(sfemi_vtk_array(r, name, type, components, tuples, cells));
     }
 done:
@@ -7428,7 +7552,7 @@ static sfem_status sfemi_vtk_attribute(sfemi_vtk *r, int64_t components, sfem_in
     const sfemi_word name = sfemi_scan_word(s);
     const sfemi_type *type;
     sfem_status status;
-    SFEMI_TRY(sfemi_vtk_type(r, "the type of an array", &type));
+    SFEMI_TRY(sfemi_vtk_array_type(r, &type));
     if (!components) { /* SCALARS */
         components = 1;
         s->in_row = 1;
@@ -7438,6 +7562,25 @@ static sfem_status sfemi_vtk_attribute(sfemi_vtk *r, int64_t components, sfem_in
         if (sfemi_word_is(sfemi_scan_peek(s), "LOOKUP_TABLE")) SFEMI_TRY(sfemi_scan_skip_words(s, 2, "a table"));
     }
     status = sfemi_vtk_array(r, name, type, components, tuples, cells);
+done:
+    return status;
+}
+
+/* TEXTURE_COORDINATES name components type, COLOR_SCALARS name components, LOOKUP_TABLE name entries; values, which are
+ * bytes of the last two in binary files. None of them tells regions. */
+static sfem_status sfemi_vtk_colours(sfemi_vtk *r, sfemi_word keyword, sfem_int tuples)
+{
+    const sfemi_type *type = sfemi_types + 3; /* uchar */
+    const int table = sfemi_word_is(keyword, "LOOKUP_TABLE");
+    sfem_status status;
+    sfemi_word name;
+    int64_t count = 0;
+    SFEMI_TRY(sfemi_scan_skip_words(&r->s, 1, "the name of an array"));
+    SFEMI_TRY(sfemi_scan_integer(&r->s, 0, INT32_MAX, "a count of components", &count));
+    if (sfemi_word_is(keyword, "TEXTURE_COORDINATES")) SFEMI_TRY(sfemi_vtk_array_type(r, &type));
+    name.p = NULL;
+    name.n = 0;
+    status = sfemi_vtk_array(r, name, type, table ? 4 : count, table ? count : tuples, 0);
 done:
     return status;
 }
@@ -7465,6 +7608,9 @@ static void sfemi_vtk_data(sfemi_vtk *r)
             status = sfemi_vtk_field(r, cells);
         else if (sfemi_word_is(w, "METADATA"))
             sfemi_vtk_skip_metadata(s);
+        else if (sfemi_word_is(w, "TEXTURE_COORDINATES") || sfemi_word_is(w, "COLOR_SCALARS") ||
+                 sfemi_word_is(w, "LOOKUP_TABLE"))
+            status = sfemi_vtk_colours(r, w, tuples);
         else {
             for (k = 0; k < sizeof known / sizeof *known && !sfemi_word_is(w, known[k].name);) ++k;
             if (k == sizeof known / sizeof *known) break;
@@ -7485,6 +7631,8 @@ static sfem_status sfemi_vtk_read(sfemi_vtk *r)
     while (status == SFEM_OK && (w = sfemi_scan_word(s)).n) {
         if (sfemi_word_is(w, "DATASET")) {
             w = sfemi_scan_peek(s);
+            if (sfemi_word_is(w, "POLYDATA"))
+                return sfemi_scan_fail(s, SFEM_FORMAT, "expected UNSTRUCTURED_GRID, found 'POLYDATA': write surfaces as .ply");
             if (!sfemi_word_is(w, "UNSTRUCTURED_GRID"))
                 return sfemi_scan_expected(s, "UNSTRUCTURED_GRID", w);
             s->p += w.n;
@@ -7542,8 +7690,9 @@ static sfem_status sfemi_vtu_file(sfemi_vtu *r, const sfemi_tag *t)
     const sfemi_word type = sfemi_xml_attribute(t, "type"), compressor = sfemi_xml_attribute(t, "compressor");
     char text[25];
     if (!sfemi_word_is(type, "UnstructuredGrid"))
-        return sfemi_scan_fail(&r->v.s, SFEM_FORMAT, "a VTK file of %s: only UnstructuredGrid is read",
-                               sfemi_word_text(type, text));
+        return sfemi_scan_fail(&r->v.s, SFEM_FORMAT, "a VTK file of %s: only UnstructuredGrid is read%s",
+                               sfemi_word_text(type, text),
+                               sfemi_word_is(type, "PolyData") ? "; write surfaces as .ply" : "");
     if (compressor.n)
         return sfemi_scan_fail(&r->v.s, SFEM_FORMAT,
                                "compressed data is not read: write it raw (ParaView: Compressor Type None; vtk: "
@@ -7763,7 +7912,7 @@ typedef struct sfemi_medit {
     sfem_mesh m;
     sfemi_extra *x;
     int has_dimension, has_vertices, has_tets;
-    sfem_int triangles;
+    sfem_int triangles, room; /* room: of tets */
 } sfemi_medit;
 
 static sfem_status sfemi_medit_dimension(sfemi_medit *r)
@@ -7802,21 +7951,44 @@ done:
     return status;
 }
 
+/* Room for n tets more; some programs write a section of tets for each part. */
+static sfem_status sfemi_medit_room(sfemi_medit *r, sfem_int n)
+{
+    const sfem_allocator *a = &r->m.allocator;
+    const sfem_int have = r->m.tets;
+    sfem_error *err = r->s.err;
+    sfem_status status = SFEM_OK;
+    sfem_int *tet = NULL, *region = NULL, room;
+    if (n > INT32_MAX - have) return sfemi_scan_fail(&r->s, SFEM_TOO_LARGE, "more than 2^31 - 1 tets");
+    if (r->m.tet && have + n <= r->room) return SFEM_OK;
+    room = r->room > INT32_MAX / 2 || 2 * r->room < have + n ? have + n : 2 * r->room;
+    SFEMI_NEW(sfem_int, tet, a, 4 * (size_t)room);
+    SFEMI_NEW(sfem_int, region, a, room);
+    if (have) memcpy(tet, r->m.tet, 4 * (size_t)have * sizeof *tet);
+    if (have) memcpy(region, r->m.region, (size_t)have * sizeof *region);
+    sfemi_delete(a, r->m.tet);
+    sfemi_delete(a, r->m.region);
+    r->m.tet = tet;
+    r->m.region = region;
+    r->room = room;
+    return SFEM_OK;
+done:
+    sfemi_delete(a, tet);
+    return status;
+}
+
 /* The count; rows of 4 or 10 vertices, numbered from 1, and the reference. */
 static sfem_status sfemi_medit_tets(sfemi_medit *r, int nodes)
 {
     sfemi_scan *s = &r->s;
-    sfem_error *err = s->err;
-    sfem_status status = SFEM_OK;
+    sfem_status status;
     sfem_int n = 0, i;
     int64_t v;
     int k;
-    if (r->has_tets) return sfemi_scan_fail(s, SFEM_FORMAT, "Tetrahedra a second time");
     if (!r->has_vertices) return sfemi_scan_fail(s, SFEM_FORMAT, "Tetrahedra come before Vertices");
     SFEMI_TRY(sfemi_scan_count(s, 10, "the count of tets", &n));
-    SFEMI_NEW(sfem_int, r->m.tet, &r->m.allocator, 4 * (size_t)n);
-    SFEMI_NEW(sfem_int, r->m.region, &r->m.allocator, n);
-    for (i = 0; i < n; ++i) {
+    SFEMI_TRY(sfemi_medit_room(r, n));
+    for (n += r->m.tets, i = r->m.tets; i < n; ++i) {
         for (k = 0; k < nodes; ++k) {
             SFEMI_TRY(sfemi_scan_size(s, INT64_MIN, INT64_MAX, "a vertex of a tet", &v));
             if (v < 1 || v > r->m.nodes) {
@@ -7832,10 +8004,11 @@ static sfem_status sfemi_medit_tets(sfemi_medit *r, int nodes)
         r->m.region[i] = (sfem_int)v;
     }
     if (nodes > 4 && !r->x->def.linear)
-        r->x->tets10 = n;
-    else
+        r->x->tets10 += n - r->m.tets;
+    else {
+        if (nodes > 4) r->x->info.linear += n - r->m.tets;
         r->m.tets = n;
-    if (nodes > 4) r->x->info.linear = n;
+    }
     r->has_tets = 1;
 done:
     return status;
@@ -8013,7 +8186,7 @@ done:
  * each node and links back up where a name ends the search [Morrison 1968, PATRICIA]: it takes no more steps
  * than the name has bits, whatever the names. */
 typedef struct sfemi_rows_name {
-    sfemi_word name;
+    sfemi_word name, text; /* how it is told apart, and how it stands in the file */
     sfem_int material;    /* its number, or -1: it is a set */
     sfem_int set[2];      /* of nodes, of tets, or -1 */
     size_t head;          /* Abaqus: 1 + the last of its members, a list by next[] */
@@ -8119,6 +8292,7 @@ static sfem_status sfemi_rows_open(sfemi_rows *r, sfemi_word w)
     inner = sfemi_scan_of(text, bytes, err);
     inner.comment = r->s.comment;
     inner.blank = r->s.blank;
+    inner.fortran = r->s.fortran;
     inner.file = sfemi_word_text(w, r->file[r->included]);
     r->text[r->included++] = text;
     r->outer[r->depth++] = r->s;
@@ -8396,6 +8570,7 @@ static sfem_status sfemi_rows_add_name(sfemi_rows *r, sfemi_word name, sfemi_wor
     p += r->names;
     memset(p, 0, sizeof *p);
     p->name = key;
+    p->text = name;
     p->material = p->set[0] = p->set[1] = -1;
     if (kind == SFEMI_ROWS_MATERIAL) {
         material = (sfem_region *)sfemi_grow(a, r->material, (size_t)r->materials, &r->materials_room, sizeof *material);
@@ -8957,7 +9132,7 @@ done:
 static sfem_status sfemi_inp_members(sfemi_rows *r, const sfemi_inp_rows *p)
 {
     sfemi_scan *s = &r->s;
-    const sfemi_word text = r->name[p->name].name;
+    const sfemi_word text = r->name[p->name].text;
     sfem_status status;
     sfemi_word w;
     int64_t v;
@@ -9113,7 +9288,7 @@ static sfem_status sfemi_inp_check(const sfemi_rows *r)
     for (i = 0; i < r->names; ++i)
         if (!r->name[i].defined)
             return sfemi_fail(r->s.err, SFEM_FORMAT, "a *SOLID SECTION names '%s', which is not there",
-                              sfemi_word_text(r->name[i].name, text));
+                              sfemi_word_text(r->name[i].text, text));
     return SFEM_OK;
 }
 
@@ -9127,6 +9302,7 @@ static sfem_status sfemi_inp_read(sfemi_rows *r)
     int any;
     r->inp = 1;
     s->blank = ',';
+    s->fortran = 1;
     for (;;) {
         SFEMI_TRY(sfemi_rows_next(r, &any));
         if (!any) break;
@@ -9220,7 +9396,7 @@ static sfem_status sfemi_mesh_parse_medit(const sfemi_scan *s, int binary, sfemi
     r.x = x;
     r.m.allocator = x->def.allocator;
     status = binary ? sfemi_medit_read_binary(&r) : sfemi_medit_read(&r);
-    if (status == SFEM_OK && !r.has_tets && !(r.has_vertices && x->faces)) {
+    if (status == SFEM_OK && !r.has_tets && !(r.has_vertices && (x->faces || x->info.others))) {
         if (r.has_vertices && x->info.triangles)
             status = sfemi_scan_fail(&r.s, SFEM_FORMAT,
                                      "there are no Tetrahedra, but %ld triangles: sfem_mesh_from_surface makes tets of them",
@@ -9259,6 +9435,11 @@ static sfem_status sfemi_mesh_parsed_check(const sfemi_extra *x, const sfem_mesh
                           "there are %ld tets of 10 nodes: the option 'linear' of sfem_mesh_read_def reads them as 4-node tets",
                           (long)x->tets10);
     if (m->tets > 0) return SFEM_OK;
+    if (x->info.others)
+        return sfemi_fail(x->err, SFEM_BAD_MESH,
+                          "there are %ld volume cells, but none is a tet of 4 or 10 nodes: hexahedra and the like, and tets of "
+                          "third order, are not read",
+                          (long)x->info.others);
     if (x->info.triangles)
         return sfemi_fail(x->err, SFEM_BAD_MESH,
                           "there are %ld nodes and %ld triangles, but no 4-node tets: sfem_mesh_from_surface makes tets of "
@@ -9759,7 +9940,8 @@ static sfemi_mesh_kind sfemi_mesh_find(const sfemi_scan *s)
     sfemi_scan behind = *s; /* the comments at the start */
     behind.comment = '#';
     sfemi_scan_space(&behind);
-    if (sfemi_scan_begins(s, "$")) return SFEMI_GMSH;
+    if (sfemi_scan_begins(s, "$") && s->end - s->p > 1 && s->p[1] > ' ' && s->p[1] != '$') return SFEMI_GMSH; /* "$ " is a
+                                                                                            * comment of Nastran */
     if (sfemi_scan_begins(s, "# vtk DataFile Version")) return SFEMI_VTK;
     if (sfemi_scan_begins(s, "<?xml") || sfemi_scan_begins(s, "<VTKFile") || sfemi_scan_begins(s, "<!--")) return SFEMI_VTU;
     if (s->end - s->p >= 8 && (!memcmp(s->p, medit[0], 4) || !memcmp(s->p, medit[1], 4))) return SFEMI_MEDIT_BINARY;
@@ -10071,19 +10253,57 @@ static void sfemi_file_point(FILE *f, const sfem_real *x)
     sfemi_file_real(f, x[2], "\n");
 }
 
+/* The regions, each once; 1 where there are none. */
+static sfem_status sfemi_msh_regions(const sfem_mesh *m, sfemi_tags *out, sfem_error *err)
+{
+    sfem_status status = sfemi_tags_room(out, 1, &m->allocator, err);
+    sfem_int i;
+    if (status == SFEM_OK && (!m->region || m->tets < 1)) sfemi_tags_add(out, 1);
+    for (i = 0; m->region && i < m->tets && status == SFEM_OK; ++i) {
+        if (i && m->region[i] == m->region[i - 1]) continue;
+        status = sfemi_tags_room(out, 1, &m->allocator, err);
+        if (status == SFEM_OK) sfemi_tags_add(out, m->region[i]);
+    }
+    return status;
+}
+
+/* A volume for each region, without which Gmsh reads no elements of it. All have the box of the mesh. */
+static void sfemi_msh_entities(FILE *f, const sfem_mesh *m, const sfemi_tags *regions)
+{
+    sfem_real box[6] = {0, 0, 0, 0, 0, 0};
+    size_t k;
+    int c;
+    for (k = 0; k < 3 * (size_t)m->nodes; ++k) {
+        c = (int)(k % 3);
+        if (k < 3 || m->x[k] < box[c]) box[c] = m->x[k];
+        if (k < 3 || m->x[k] > box[c + 3]) box[c + 3] = m->x[k];
+    }
+    fprintf(f, "$Entities\n0 0 0 %ld\n", (long)regions->used);
+    for (k = 0; k < regions->used; ++k) {
+        fprintf(f, "%ld ", (long)regions->tag[k]);
+        for (c = 0; c < 6; ++c) sfemi_file_real(f, box[c], " ");
+        fputs("0 0\n", f); /* neither physical groups nor faces */
+    }
+    fputs("$EndEntities\n", f);
+}
+
 SFEM_DEF sfem_status sfem_mesh_write_msh(const char *path, const sfem_mesh *mesh, sfem_error *err)
 {
     const sfem_int *region;
     sfem_status status;
     sfem_int i, end, blocks = 0;
+    sfemi_tags regions;
     FILE *f;
     SFEM_ASSERT(path && mesh);
+    memset(&regions, 0, sizeof regions);
     region = mesh->region;
-    status = sfemi_mesh_counts(mesh->nodes, mesh->tets, err);
-    if (status == SFEM_OK) status = sfemi_file_create(path, &f, err);
-    if (status != SFEM_OK) return status;
-    fprintf(f, "$MeshFormat\n4.1 0 8\n$EndMeshFormat\n$Nodes\n1 %ld 1 %ld\n3 1 0 %ld\n",
-            (long)mesh->nodes, (long)mesh->nodes, (long)mesh->nodes);
+    SFEMI_TRY(sfemi_mesh_counts(mesh->nodes, mesh->tets, err));
+    SFEMI_TRY(sfemi_msh_regions(mesh, &regions, err));
+    SFEMI_TRY(sfemi_file_create(path, &f, err));
+    fputs("$MeshFormat\n4.1 0 8\n$EndMeshFormat\n", f);
+    sfemi_msh_entities(f, mesh, &regions);
+    fprintf(f, "$Nodes\n1 %ld 1 %ld\n3 %ld 0 %ld\n", (long)mesh->nodes, (long)mesh->nodes, (long)regions.tag[0],
+            (long)mesh->nodes);
     for (i = 0; i < mesh->nodes; ++i) fprintf(f, "%ld\n", (long)i + 1);
     for (i = 0; i < mesh->nodes; ++i) sfemi_file_point(f, mesh->x + 3 * (size_t)i);
     for (i = 0; i < mesh->tets; ++i) blocks += i == 0 || (region && region[i] != region[i - 1]);
@@ -10099,7 +10319,10 @@ SFEM_DEF sfem_status sfem_mesh_write_msh(const char *path, const sfem_mesh *mesh
         }
     }
     fputs("$EndElements\n", f);
-    return sfemi_file_close(f, path, err);
+    status = sfemi_file_close(f, path, err);
+done:
+    sfemi_tags_free(&regions, &mesh->allocator);
+    return status;
 }
 
 /* Text inside the quotes of an XML attribute. */
@@ -10260,7 +10483,14 @@ SFEM_DEF sfem_status sfem_mesh_write_obj(const char *path, const sfem_mesh *mesh
     }
     if (!x) x = mesh->x;
     SFEMI_NEW(sfem_int, number, &mesh->allocator, mesh->nodes);
-    for (k = 0; k < 3 * (size_t)surface->triangles; ++k) number[surface->tri[k]] = 1;
+    for (k = 0; k < 3 * (size_t)surface->triangles; ++k) {
+        if (surface->tri[k] < 0 || surface->tri[k] >= mesh->nodes) {
+            status = sfemi_fail(err, SFEM_BAD_MESH, "triangle %ld of the surface names node %ld, the mesh has %ld",
+                                (long)(k / 3), (long)surface->tri[k], (long)mesh->nodes);
+            goto done;
+        }
+        number[surface->tri[k]] = 1;
+    }
     SFEMI_TRY(sfemi_file_create(path, &f, err));
     for (i = 0; i < mesh->nodes; ++i)
         if (number[i]) {
@@ -17017,6 +17247,76 @@ SFEMI_BLOCKS_KERNEL(f, 2, 1)
 static const sfemi_blocks_kernel sfemi_blocks_path[][2] = SFEMI_PATHS(SFEMI_K); /* SFEM_DOUBLE, SFEM_MIXED */
 #undef SFEMI_K
 
+#ifndef SFEM_NO_SMOOTH
+/* ---- the same for cells of smooth tets (>>smooth), whose G are known: SFEMI_LANES of one law ---- */
+
+/* In: lambda, mu and the stabilisation 2 a mu, each times the volume, and G in p [9][SFEMI_LANES]. Out: P times the
+ * volume in p, R in rotation where that is not NULL. Returns the energy. */
+typedef sfem_real (*sfemi_cells_kernel)(int law, const sfem_real *lambda, const sfem_real *mu, const sfem_real *stab,
+                                        sfem_real *p, sfem_real *rotation);
+
+#define SFEMI_CELL_LANES(T, S, MA, DOT, DET)                                                       \
+static SFEMI_INLINE sfem_real sfemi_lanes_cells_##S(int law, const sfem_real *lambda, const sfem_real *mu, \
+                                                    const sfem_real *stab, sfem_real *p,           \
+                                                    sfem_real *rotation, const int fused)          \
+{                                                                                                  \
+    sfemi_lanes_##S w;                                                                             \
+    sfem_real energy = 0;                                                                          \
+    int l, i;                                                                                      \
+    memset(&w, 0, sizeof w);                                                                       \
+    for (i = 0; i < 9; ++i)                                                                        \
+        for (l = 0; l < SFEMI_LANES; ++l) w.g[i][l] = (T)p[SFEMI_LANES * i + l];                   \
+    for (l = 0; l < SFEMI_LANES; ++l) {                                                            \
+        const T f0 = w.g[0][l] + 1, f1 = w.g[1][l], f2 = w.g[2][l];                                \
+        const T f3 = w.g[3][l], f4 = w.g[4][l] + 1, f5 = w.g[5][l];                                \
+        const T f6 = w.g[6][l], f7 = w.g[7][l], f8 = w.g[8][l] + 1;                                \
+        w.lambda[l] = (T)lambda[l];                                                                \
+        w.mu[l] = (T)mu[l];                                                                        \
+        w.det[l] = DOT(f0, DET(f4, f8, f5, f7), f1, DET(f5, f6, f3, f8), f2, DET(f3, f7, f4, f6)); \
+    }                                                                                              \
+    if (law == SFEM_COROTATIONAL || (rotation && law != SFEM_LINEAR)) sfemi_lanes_polar_##S(&w, fused); \
+    if (law == SFEM_COROTATIONAL) sfemi_lanes_corotational_##S(&w, fused);                         \
+    else if (law == SFEM_NEOHOOKEAN) sfemi_lanes_neohookean_##S(&w, fused);                        \
+    else sfemi_lanes_linear_##S(&w, fused);                                                        \
+    for (i = 0; i < 9; ++i)                                                                        \
+        for (l = 0; l < SFEMI_LANES; ++l) {                                                        \
+            const T a = (T)stab[l], g = w.g[i][l];                                                 \
+            w.energy[l] = MA(-a / 2 * g, g, w.energy[l]);                                          \
+            p[SFEMI_LANES * i + l] = MA(-a, g, w.p[i][l]);                                         \
+        }                                                                                          \
+    for (l = 0; l < SFEMI_LANES; ++l) energy += w.energy[l];                                       \
+    for (i = 0; rotation && i < 9; ++i)                                                            \
+        for (l = 0; l < SFEMI_LANES; ++l)                                                          \
+            rotation[SFEMI_LANES * i + l] = law == SFEM_LINEAR ? (sfem_real)(i % 4 == 0) : w.r[i][l]; \
+    return energy;                                                                                 \
+}
+
+SFEMI_CELL_LANES(double, d, SFEMI_MA_d, SFEMI_DOT_d, SFEMI_DET_d)
+SFEMI_CELL_LANES(float, f, SFEMI_MA_f, SFEMI_DOT_f, SFEMI_DET_f)
+
+#define SFEMI_CELLS_KERNEL(S, PATH, FUSED)                                                         \
+SFEMI_TARGET_##PATH static sfem_real sfemi_cells_##S##_##PATH(                                     \
+    int law, const sfem_real *lambda, const sfem_real *mu, const sfem_real *stab, sfem_real *p,    \
+    sfem_real *rotation)                                                                           \
+{                                                                                                  \
+    return sfemi_lanes_cells_##S(law, lambda, mu, stab, p, rotation, FUSED);                       \
+}
+
+SFEMI_CELLS_KERNEL(d, 0, 0)
+SFEMI_CELLS_KERNEL(f, 0, 0)
+#if SFEMI_X86
+SFEMI_CELLS_KERNEL(d, 1, 1)
+SFEMI_CELLS_KERNEL(f, 1, 1)
+SFEMI_CELLS_KERNEL(d, 2, 1)
+SFEMI_CELLS_KERNEL(f, 2, 1)
+#endif
+#undef SFEMI_CELLS_KERNEL
+#undef SFEMI_CELL_LANES
+#define SFEMI_K(p) {sfemi_cells_d_##p, sfemi_cells_f_##p}
+static const sfemi_cells_kernel sfemi_cells_path[][2] = SFEMI_PATHS(SFEMI_K); /* SFEM_DOUBLE, SFEM_MIXED */
+#undef SFEMI_K
+#endif
+
 #ifndef SFEM_NO_BODY
 /* Lanes without a matrix, and where over is 0, get the unit matrix. */
 static SFEMI_INLINE void sfemi_lanes_polars(sfem_int count, const sfem_real *sum,
@@ -17084,6 +17384,1013 @@ static const sfemi_polars_kernel sfemi_polars_path[] = SFEMI_PATHS(SFEMI_K);
 #endif
 
 /* ============================================================================================
+ * >>smooth   tets that do not lock: stars, patches, their forces and matrices
+ *
+ * 1. A cell is a group of tets with one mean deformation gradient, c_e being what tet e counts in it:
+ *      F_c = sum c_e F_e / V_c,    V_c = sum c_e,    F_c = I + sum_j u_j g_cj^T
+ *    A star has the tets of one material at a node that hang together through faces at that node, c_e = V_e/4: one at
+ *    most nodes. A patch has about four tets of one material that hang together through faces, c_e = V_e: every tet
+ *    is in one patch.
+ * 2. Energy: shear at stars, volume at patches, and what keeps the tets of a star together:
+ *      Psi = sum_stars V_s psi(0, mu; F_s) + sum_patches V_p psi(lambda, 0; F_p)
+ *          + sum_s a_s mu sum_{e in s} V_e/4 |F_e - F_s|^2
+ *    psi(lambda, mu; F) is the material's law. Averages of strain: [Dohrmann et al. 2000; Puso, Solberg 2006, who
+ *    also add the last term]. By the variance identity it is sum_e V_e |F_e|^2 - sum_s V_s |F_s|^2 with its weights:
+ *    a Laplacian of the nodes, constant whatever the rotations, and a term in F_s.
+ * 3. Each cell reads and writes its own nodes: K couples nodes two edges apart. With
+ *      K0 = linear tets with lambda = 0 + sum_patches V_p lambda (div_p)^2
+ *    whose pattern is that of the tets and the patches,
+ *      K0 - K = 2 mu sum_s sum_{e in s} V_e/4 (|eps_e - eps_s|^2 - a_s |grad_e - grad_s|^2)
+ *    is positive semidefinite where a_s is at most what the star's shape allows (sfemi_smooth_limit finds it for each);
+ *    and |grad| >= |eps| gives a K0 <= K with a the least a_s, for any mesh and any lambda. So A made of K0 bounds that
+ *    of K, and conjugate gradients with it as preconditioner need a bounded number of iterations.
+ * ============================================================================================ */
+
+#define SFEMI_NODE_TASK 2048 /* nodes a task */
+
+#ifndef SFEM_NO_SMOOTH
+/* What a_s is where the star allows it. Measured on cantilevers of 4x1x1, 8x2x2 and 16x4x4 cells, nu 0.3 to 0.499:
+ * parts of the converged deflection are 0.87 to 1.06, 1.01 to 1.12, 1.03 to 1.07; with 0.15 0.78 to 0.94, 0.94 to
+ * 1.05, 1.01 to 1.05. */
+#define SFEMI_SMOOTH_A 0.12
+/* Where the law rotates, steps of (p,q,r) and K0 take lambda as of this nu at most: in a bend the rows of K0's volume
+ * part, rotated by nodes, are not those of the patches, and lambda multiplies the difference. Bars and bodies that
+ * swing, h = 1/60 s, in 2 s: nothing rejected at 0.48, 15 % at 0.49, 43 to 81 % at 0.499. Deflections at 0.48 and 0.499
+ * differ by 1 %. */
+#define SFEMI_SMOOTH_POISSON 0.48
+/* Patches are grown to so many tets; they come to 4 in the mean. With 3 bars of six-tet cells lock at nu = 0.499
+ * (0.53), with 5 they are up to 1.19. */
+#define SFEMI_PATCH_TETS 4
+#define SFEMI_SWEEP 4096     /* bins of an axis in which tets are sorted, at most; as large as */
+#define SFEMI_SWEEP_CELL 5   /* mean tets */
+#define SFEMI_CELL_TASK 16   /* groups of SFEMI_LANES cells a task */
+
+typedef struct sfemi_smooth {
+    sfem_int cells, groups;    /* cells and the empty ones that fill up groups of one law; first the stars */
+    sfem_int stars, patches;   /* how many of each */
+    sfem_int star_groups;
+    sfem_int most;             /* nodes of one cell at most */
+    unsigned char *law;        /* [groups] sfem_law */
+    sfem_int *start;           /* [cells+1] entries of a cell */
+    sfem_int *node;            /* [entries] its nodes, the star's own first; */
+    sfem_real *g;              /* [entries][3] their mean gradients, 1/m */
+    sfem_real *volume;         /* [cells] V_c, m^3 */
+    sfem_real *lambda, *mu;    /* [cells] V_c lambda, V_c mu, J: one of them is 0 */
+    sfem_real *soft;           /* [cells] lambda in steps of (p,q,r) and in K0: see SFEMI_SMOOTH_POISSON */
+    sfem_real poisson;         /* the largest that is in soft */
+    sfem_real *stab;           /* [cells] V_s 2 a_s mu, J */
+    sfem_real *weight;         /* [cells] of a star's rotation in that of its node */
+    sfem_int *in_start;        /* [nodes+1] entries of a node */
+    sfem_int *in_cell;         /* [entries] their cells, ascending, */
+    sfem_int *in_entry;        /* [entries] and places */
+    sfem_int *ring_start;      /* [nodes+1] neighbours of a node */
+    sfem_int *ring;            /* [ring_start[nodes]] */
+    sfem_real *ring_l;         /* their entries of the stabilisation's Laplacian, N/m */
+    sfem_int *patch;           /* [tets] numbered from 0, and */
+    sfem_int *tet_cell;        /* [tets][5] the stars that a tet is in, by its nodes, and the patch */
+    sfem_real a;               /* the least a_s */
+    size_t bytes;
+} sfemi_smooth;
+
+/* Building one. */
+typedef struct sfemi_smooth_maker {
+    sfemi_smooth *out;
+    const sfem_mesh *mesh;
+    const sfem_material *material;
+    const sfem_int *of;       /* [tets] the material of each */
+    sfem_int *across;         /* [tets][4] the tet across the face opposite a node, of the same material, or -1 */
+    sfem_int *start, *list;   /* [nodes+1], [4 tets] the tets of a node */
+    sfem_int *patch;          /* [tets] out->patch */
+    sfem_int *stack, *mark;   /* [tets], [nodes] scratch */
+    sfem_int *own;            /* [cells] the node of a star; -1: a patch */
+    sfem_int *member_start;   /* [cells+1] the tets */
+    sfem_int *member;         /* [5 tets] of each cell */
+    sfem_real *tet_g;         /* [tets][4][3] gradients */
+    sfem_real *tet_volume;    /* [tets] */
+    sfem_real *dense;         /* [(3 most)^2] */
+} sfemi_smooth_maker;
+
+static int sfemi_smooth_corner(const sfem_int *t, sfem_int node)
+{
+    return t[0] == node ? 0 : t[1] == node ? 1 : t[2] == node ? 2 : t[3] == node ? 3 : -1;
+}
+
+/* The tet across the face opposite corner a of tet e. */
+static sfem_int sfemi_smooth_across(const sfemi_smooth_maker *m, sfem_int e, int a)
+{
+    const sfem_int *t = m->mesh->tet + 4 * (size_t)e;
+    const sfem_int p = t[(a + 1) & 3], q = t[(a + 2) & 3], r = t[(a + 3) & 3];
+    sfem_int k;
+    for (k = m->start[p]; k < m->start[p + 1]; ++k) {
+        const sfem_int other = m->list[k], *o = m->mesh->tet + 4 * (size_t)other;
+        if (other != e && m->of[other] == m->of[e] && sfemi_smooth_corner(o, q) >= 0 && sfemi_smooth_corner(o, r) >= 0)
+            return other;
+    }
+    return -1;
+}
+
+static sfem_status sfemi_smooth_topology(sfemi_smooth_maker *m, sfemi_pool *pool, sfem_error *err)
+{
+    const sfem_mesh *mesh = m->mesh;
+    sfem_status status = SFEM_OK;
+    sfem_int i, e;
+    int a;
+    SFEMI_TAKE(sfem_int, m->start, pool, (size_t)mesh->nodes + 2);
+    SFEMI_TAKE(sfem_int, m->list, pool, 4 * (size_t)mesh->tets);
+    SFEMI_TAKE(sfem_int, m->across, pool, 4 * (size_t)mesh->tets);
+    SFEMI_TAKE(sfem_int, m->stack, pool, mesh->tets);
+    SFEMI_TAKE(sfem_int, m->mark, pool, (size_t)mesh->nodes + 1);
+    for (i = 0; i < 4 * mesh->tets; ++i) ++m->start[mesh->tet[i] + 2];
+    for (i = 0; i < mesh->nodes; ++i) m->start[i + 2] += m->start[i + 1];
+    for (e = 0; e < mesh->tets; ++e)
+        for (a = 0; a < 4; ++a) m->list[m->start[mesh->tet[4 * e + a] + 1]++] = e;
+    for (e = 0; e < mesh->tets; ++e)
+        for (a = 0; a < 4; ++a) m->across[4 * e + a] = sfemi_smooth_across(m, e, a);
+done:
+    return status;
+}
+
+/* Numbers the stars node by node: tet_cell of the corners. Returns how many there are. */
+static sfem_int sfemi_smooth_stars(sfemi_smooth_maker *m)
+{
+    const sfem_mesh *mesh = m->mesh;
+    sfem_int *cell = m->out->tet_cell, i, k, stars = 0, top;
+    int a;
+    for (i = 0; i < 5 * mesh->tets; ++i) cell[i] = -1;
+    for (i = 0; i < mesh->nodes; ++i)
+        for (k = m->start[i]; k < m->start[i + 1]; ++k) {
+            const sfem_int first = m->list[k];
+            if (cell[5 * first + sfemi_smooth_corner(mesh->tet + 4 * first, i)] >= 0) continue;
+            cell[5 * first + sfemi_smooth_corner(mesh->tet + 4 * first, i)] = stars;
+            m->stack[0] = first;
+            for (top = 1; top > 0;) {
+                const sfem_int e = m->stack[--top], *t = mesh->tet + 4 * (size_t)e;
+                for (a = 0; a < 4; ++a) {
+                    const sfem_int o = m->across[4 * e + a];
+                    sfem_int *to;
+                    if (t[a] == i || o < 0) continue;
+                    to = cell + 5 * o + sfemi_smooth_corner(mesh->tet + 4 * (size_t)o, i);
+                    if (*to >= 0) continue;
+                    *to = stars;
+                    m->stack[top++] = o;
+                }
+            }
+            ++stars;
+        }
+    return stars;
+}
+
+/* Of the tets across the faces of a patch's members, the one that adds the fewest nodes, then the nearest; -1: none. */
+static sfem_int sfemi_smooth_next(const sfemi_smooth_maker *m, const sfem_int *member, int count, const sfem_int *node,
+                                  int nodes)
+{
+    const sfem_mesh *mesh = m->mesh;
+    sfem_real centre[3] = {0, 0, 0}, least = 0;
+    sfem_int best = -1;
+    int fewest = 5, k, a, c, i;
+    for (i = 0; i < nodes; ++i)
+        for (c = 0; c < 3; ++c) centre[c] += mesh->x[3 * (size_t)node[i] + (size_t)c] / nodes;
+    for (k = 0; k < count; ++k)
+        for (a = 0; a < 4; ++a) {
+            const sfem_int o = m->across[4 * member[k] + a], *t = mesh->tet + 4 * (size_t)o;
+            sfem_real d2 = 0;
+            int fresh = 0, p;
+            if (o < 0 || m->patch[o] >= 0) continue;
+            for (p = 0; p < 4; ++p) {
+                for (i = 0; i < nodes && node[i] != t[p]; ++i) continue;
+                fresh += i == nodes;
+            }
+            for (c = 0; c < 3; ++c) {
+                sfem_real d = -centre[c];
+                for (p = 0; p < 4; ++p) d += mesh->x[3 * (size_t)t[p] + (size_t)c] / 4;
+                d2 += d * d;
+            }
+            if (fresh > fewest || (fresh == fewest && d2 >= least)) continue;
+            fewest = fresh;
+            least = d2;
+            best = o;
+        }
+    return best;
+}
+
+/* Tets by the places of their centres in coarse cells, along the longest axis first: patches that grow in this order
+ * leave few tets over, however the mesh is numbered. */
+static sfem_status sfemi_smooth_sweep(const sfemi_smooth_maker *m, sfem_int *order, sfemi_pool *pool, sfem_error *err)
+{
+    const sfem_mesh *mesh = m->mesh;
+    sfem_real low[3], high[3], volume = 0, size;
+    sfem_int *key, *bucket, *other, i, e;
+    sfem_status status = SFEM_OK;
+    int c, a, longest = 0;
+    SFEMI_TAKE(sfem_int, key, pool, 3 * (size_t)mesh->tets);
+    SFEMI_TAKE(sfem_int, other, pool, mesh->tets);
+    SFEMI_TAKE(sfem_int, bucket, pool, SFEMI_SWEEP + 1);
+    for (e = 0; e < mesh->tets; ++e) {
+        sfem_real g[4][3];
+        volume += sfemi_element_gradients(mesh, e, g);
+    }
+    size = cbrt(SFEMI_SWEEP_CELL * volume / mesh->tets);
+    for (c = 0; c < 3; ++c) {
+        low[c] = high[c] = mesh->x[c];
+        for (i = 1; i < mesh->nodes; ++i) {
+            low[c] = fmin(low[c], mesh->x[3 * (size_t)i + (size_t)c]);
+            high[c] = fmax(high[c], mesh->x[3 * (size_t)i + (size_t)c]);
+        }
+        for (e = 0; e < mesh->tets; ++e) {
+            sfem_real x = -low[c];
+            for (a = 0; a < 4; ++a) x += mesh->x[3 * (size_t)mesh->tet[4 * (size_t)e + (size_t)a] + (size_t)c] / 4;
+            key[3 * e + c] = (sfem_int)fmin(x / size, SFEMI_SWEEP - 1);
+        }
+    }
+    for (c = 0; c < 3; ++c)
+        if (high[c] - low[c] > high[longest] - low[longest]) longest = c;
+    sfemi_mesh_sort(key + (longest + 2) % 3, 3, mesh->tets, SFEMI_SWEEP, NULL, order, bucket);
+    sfemi_mesh_sort(key + (longest + 1) % 3, 3, mesh->tets, SFEMI_SWEEP, order, other, bucket);
+    sfemi_mesh_sort(key + longest, 3, mesh->tets, SFEMI_SWEEP, other, order, bucket);
+done:
+    return status;
+}
+
+/* Grows patches in the order given; their number. */
+static sfem_int sfemi_smooth_grow(sfemi_smooth_maker *m, const sfem_int *order)
+{
+    const sfem_mesh *mesh = m->mesh;
+    sfem_int e, k, patches = 0, member[SFEMI_PATCH_TETS], node[4 * SFEMI_PATCH_TETS];
+    int i, p;
+    for (e = 0; e < mesh->tets; ++e) m->patch[e] = -1;
+    for (k = 0; k < mesh->tets; ++k) {
+        sfem_int next = e = order[k];
+        int count = 0, nodes = 0;
+        if (m->patch[e] >= 0) continue;
+        while (next >= 0) {
+            const sfem_int *t = mesh->tet + 4 * (size_t)next;
+            m->patch[next] = patches;
+            member[count++] = next;
+            for (p = 0; p < 4; ++p) {
+                for (i = 0; i < nodes && node[i] != t[p]; ++i) continue;
+                if (i == nodes) node[nodes++] = t[p];
+            }
+            next = count < SFEMI_PATCH_TETS ? sfemi_smooth_next(m, member, count, node, nodes) : -1;
+        }
+        ++patches;
+    }
+    return patches;
+}
+
+/* Gives the tets of patches of at most half the size to the neighbour with most faces; numbers the patches anew. size:
+ * [patches]. */
+static sfem_int sfemi_smooth_merge(sfemi_smooth_maker *m, sfem_int patches, sfem_int *size)
+{
+    const sfem_int tets = m->mesh->tets;
+    sfem_int e, k, count = 0;
+    int sweep, a, b;
+    memset(size, 0, (size_t)patches * sizeof *size);
+    for (e = 0; e < tets; ++e) ++size[m->patch[e]];
+    for (sweep = 0; sweep < 3; ++sweep)
+        for (e = 0; e < tets; ++e) {
+            sfem_int best = -1;
+            int most = 0;
+            if (size[m->patch[e]] > SFEMI_PATCH_TETS / 2) continue;
+            for (a = 0; a < 4; ++a) {
+                const sfem_int o = m->across[4 * e + a], other = o < 0 ? -1 : m->patch[o];
+                int faces = 0;
+                if (other < 0 || other == m->patch[e]) continue;
+                for (b = 0; b < 4; ++b) {
+                    const sfem_int q = m->across[4 * e + b];
+                    faces += q >= 0 && m->patch[q] == other;
+                }
+                if (faces < most || (faces == most && best >= 0 && other >= best)) continue;
+                most = faces;
+                best = other;
+            }
+            if (best < 0) continue;
+            --size[m->patch[e]];
+            ++size[best];
+            m->patch[e] = best;
+        }
+    for (k = 0; k < patches; ++k) size[k] = -1;
+    for (e = 0; e < tets; ++e) {
+        if (size[m->patch[e]] < 0) size[m->patch[e]] = count++;
+        m->patch[e] = size[m->patch[e]];
+    }
+    return count;
+}
+
+/* Puts stars, then patches, law by law into groups: tet_cell becomes places. number and law: [stars + patches]. */
+static void sfemi_smooth_group(sfemi_smooth_maker *m, sfem_int *number, unsigned char *law)
+{
+    sfemi_smooth *s = m->out;
+    const sfem_int count[2] = {s->stars, s->patches}, tets = m->mesh->tets;
+    sfem_int e, k, at = 0, first = 0;
+    int kind, l, a;
+    for (e = 0; e < tets; ++e) {
+        s->tet_cell[5 * e + 4] = s->stars + m->patch[e];
+        for (a = 0; a < 5; ++a) law[s->tet_cell[5 * e + a]] = (unsigned char)m->material[m->of[e]].law;
+    }
+    for (kind = 0; kind < 2; first += count[kind++]) {
+        for (l = 0; l <= SFEM_NEOHOOKEAN; ++l) {
+            for (k = first; k < first + count[kind]; ++k)
+                if (law[k] == l) number[k] = at++;
+            at = (at + SFEMI_LANES - 1) / SFEMI_LANES * SFEMI_LANES;
+        }
+        if (kind == 0) s->star_groups = at / SFEMI_LANES;
+    }
+    s->cells = at;
+    s->groups = at / SFEMI_LANES;
+    for (e = 0; e < 5 * tets; ++e) s->tet_cell[e] = number[s->tet_cell[e]];
+}
+
+/* The entries: node and start, with s->most. The mark of a node is the last cell that saw it. fill 0: counts only. */
+static void sfemi_smooth_entries(sfemi_smooth_maker *m, int fill)
+{
+    sfemi_smooth *s = m->out;
+    sfem_int c, k, i, at = 0;
+    int a;
+    for (i = 0; i < m->mesh->nodes; ++i) m->mark[i] = -1;
+    for (c = 0; c < s->cells; ++c) {
+        if (m->own[c] >= 0) {
+            m->mark[m->own[c]] = c;
+            if (fill) s->node[at] = m->own[c];
+            ++at;
+        }
+        for (k = m->member_start[c]; k < m->member_start[c + 1]; ++k) {
+            const sfem_int e = m->member[k], *t = m->mesh->tet + 4 * (size_t)e;
+            for (a = 0; a < 4; ++a) {
+                if (m->mark[t[a]] == c) continue;
+                m->mark[t[a]] = c;
+                if (fill) s->node[at] = t[a];
+                ++at;
+            }
+        }
+        s->start[c + 1] = at;
+        if (at - s->start[c] > s->most) s->most = at - s->start[c];
+    }
+}
+
+/* The tets of each cell, and its own node. */
+static sfem_status sfemi_smooth_members(sfemi_smooth_maker *m, sfemi_pool *pool, sfem_error *err)
+{
+    const sfemi_smooth *s = m->out;
+    const sfem_int tets = m->mesh->tets;
+    sfem_status status = SFEM_OK;
+    sfem_int e, c;
+    int a;
+    SFEMI_TAKE(sfem_int, m->member_start, pool, (size_t)s->cells + 2);
+    SFEMI_TAKE(sfem_int, m->member, pool, 5 * (size_t)tets);
+    SFEMI_TAKE(sfem_int, m->own, pool, s->cells);
+    for (c = 0; c < s->cells; ++c) m->own[c] = -1;
+    for (e = 0; e < 4 * tets; ++e) m->own[s->tet_cell[5 * (e / 4) + e % 4]] = m->mesh->tet[e];
+    for (e = 0; e < 5 * tets; ++e) ++m->member_start[s->tet_cell[e] + 2];
+    for (c = 0; c < s->cells; ++c) m->member_start[c + 2] += m->member_start[c + 1];
+    for (e = 0; e < tets; ++e)
+        for (a = 0; a < 5; ++a) m->member[m->member_start[s->tet_cell[5 * e + a] + 1]++] = e;
+done:
+    return status;
+}
+
+/* dense = sum_e V_e/4 (|eps_e - eps_s|^2 - a |grad_e - grad_s|^2) of star c, lower half, without the nodes of its
+ * largest tet. place: the row of each entry, or -1. */
+static sfem_int sfemi_smooth_spread(const sfemi_smooth_maker *m, sfem_int c, sfem_real a, sfem_int *place)
+{
+    const sfemi_smooth *s = m->out;
+    const sfem_int first = s->start[c], count = s->start[c + 1] - first;
+    sfem_int k, i, j, n = 0, largest = m->member[m->member_start[c]];
+    int p, q, r, d;
+    for (k = m->member_start[c]; k < m->member_start[c + 1]; ++k)
+        if (m->tet_volume[m->member[k]] > m->tet_volume[largest]) largest = m->member[k];
+    for (i = 0; i < count; ++i) {
+        const sfem_int node = s->node[first + i];
+        place[node] = sfemi_smooth_corner(m->mesh->tet + 4 * (size_t)largest, node) < 0 ? n++ : -1;
+    }
+    memset(m->dense, 0, 9 * (size_t)n * (size_t)n * sizeof *m->dense);
+    for (k = m->member_start[c]; k <= m->member_start[c + 1]; ++k) {
+        const int mean = k == m->member_start[c + 1]; /* at last less the star's own */
+        const sfem_int e = mean ? 0 : m->member[k];
+        const sfem_real w = mean ? -s->volume[c] : m->tet_volume[e] / 4;
+        const sfem_int corners = mean ? count : 4, *node = mean ? s->node + first : m->mesh->tet + 4 * (size_t)e;
+        const sfem_real *g = mean ? s->g + 3 * (size_t)first : m->tet_g + 12 * (size_t)e;
+        for (p = 0; p < corners; ++p)
+            for (q = 0; q < corners; ++q) {
+                const sfem_real *gp = g + 3 * p, *gq = g + 3 * q, dot = sfemi_dot3(gp, gq);
+                i = place[node[p]], j = place[node[q]];
+                if (i < 0 || j < 0 || i < j) continue;
+                for (r = 0; r < 3; ++r)
+                    for (d = 0; d < 3; ++d)
+                        m->dense[(size_t)(3 * i + r) + (size_t)(3 * j + d) * 3 * (size_t)n] +=
+                            w * (gq[r] * gp[d] / 2 + (r == d ? (0.5 - a) * dot : 0));
+            }
+    }
+    return n;
+}
+
+/* The largest a, up to SFEMI_SMOOTH_A, at which K0 bounds K on star c: by the Cholesky factors of the form above, which
+ * is zero for affine fields only. Bisection where that is too much. place: [nodes] scratch. */
+static sfem_real sfemi_smooth_limit(const sfemi_smooth_maker *m, sfem_int c, sfem_int *place)
+{
+    sfem_real low = 0, high = SFEMI_SMOOTH_A, a = high;
+    int k;
+    for (k = 0; k < 12; ++k) {
+        const sfem_int n = sfemi_smooth_spread(m, c, a * 1.001, place);
+        if (n == 0 || sfem_dense_cholesky(3 * n, m->dense, NULL) == SFEM_OK) low = a;
+        else high = a;
+        if (low == high) break;
+        a = (low + high) / 2;
+    }
+    return low;
+}
+
+/* Mean gradients, volumes and moduli of the cells. */
+static void sfemi_smooth_shapes(sfemi_smooth_maker *m)
+{
+    sfemi_smooth *s = m->out;
+    sfem_int c, k, i;
+    int a, d;
+    for (c = 0; c < s->cells; ++c) {
+        const int star = c < s->star_groups * SFEMI_LANES;
+        const sfem_int first = s->start[c];
+        const sfem_material *material = NULL;
+        sfem_real lambda, mu;
+        for (i = first; i < s->start[c + 1]; ++i) m->mark[s->node[i]] = i;
+        for (k = m->member_start[c]; k < m->member_start[c + 1]; ++k) {
+            const sfem_int e = m->member[k], *t = m->mesh->tet + 4 * (size_t)e;
+            const sfem_real w = m->tet_volume[e] / (star ? 4 : 1);
+            material = m->material + m->of[e];
+            s->volume[c] += w;
+            for (a = 0; a < 4; ++a)
+                for (d = 0; d < 3; ++d)
+                    s->g[3 * (size_t)m->mark[t[a]] + (size_t)d] += w * m->tet_g[12 * (size_t)e + (size_t)(3 * a + d)];
+        }
+        for (i = 3 * first; i < 3 * s->start[c + 1]; ++i) s->g[i] /= s->volume[c];
+        if (!material) continue;
+        s->law[c / SFEMI_LANES] = (unsigned char)material->law;
+        sfem_law_lame(material->young, material->poisson, &lambda, &mu);
+        if (star) s->weight[c] = 4 * s->volume[c] * (lambda + 2 * mu);
+        if (star) s->mu[c] = s->volume[c] * mu;
+        else s->lambda[c] = s->volume[c] * lambda;
+        if (star) continue;
+        s->soft[c] = s->lambda[c];
+        s->poisson = fmax(s->poisson, material->law == SFEM_LINEAR ? material->poisson
+                                                                   : fmin(material->poisson, SFEMI_SMOOTH_POISSON));
+        if (material->law != SFEM_LINEAR && material->poisson > SFEMI_SMOOTH_POISSON)
+            s->soft[c] = s->volume[c] * 2 * mu * SFEMI_SMOOTH_POISSON / (1 - 2 * SFEMI_SMOOTH_POISSON);
+    }
+}
+
+/* The entries of each node, and its neighbours with the stabilisation's Laplacian. */
+static sfem_status sfemi_smooth_transpose(sfemi_smooth_maker *m, sfemi_pool *pool, sfem_error *err)
+{
+    sfemi_smooth *s = m->out;
+    const sfem_int nodes = m->mesh->nodes;
+    sfem_status status = SFEM_OK;
+    sfem_int c, i, k, pass, at;
+    int a;
+    SFEMI_TAKE(sfem_int, s->in_start, pool, (size_t)nodes + 2);
+    SFEMI_TAKE(sfem_int, s->in_cell, pool, s->start[s->cells]);
+    SFEMI_TAKE(sfem_int, s->in_entry, pool, s->start[s->cells]);
+    for (i = 0; i < s->start[s->cells]; ++i) ++s->in_start[s->node[i] + 2];
+    for (i = 0; i < nodes; ++i) s->in_start[i + 2] += s->in_start[i + 1];
+    for (c = 0; c < s->cells; ++c)
+        for (i = s->start[c]; i < s->start[c + 1]; ++i) {
+            const sfem_int to = s->in_start[s->node[i] + 1]++;
+            s->in_cell[to] = c;
+            s->in_entry[to] = i;
+        }
+    SFEMI_TAKE(sfem_int, s->ring_start, pool, (size_t)nodes + 1);
+    for (pass = 0; pass < 2; ++pass) {
+        for (i = 0; i < nodes; ++i) m->mark[i] = -1;
+        for (at = i = 0; i < nodes; ++i) {
+            const sfem_int first = at;
+            for (k = m->start[i]; k < m->start[i + 1]; ++k) {
+                const sfem_int e = m->list[k], *t = m->mesh->tet + 4 * (size_t)e;
+                const sfem_real *g = m->tet_g + 12 * (size_t)e;
+                const sfem_real *gi = g + 3 * sfemi_smooth_corner(t, i);
+                sfem_real w = 0;
+                for (a = 0; a < 4; ++a) {
+                    const sfem_int star = s->tet_cell[5 * e + a];
+                    w += s->stab[star] / s->volume[star] * m->tet_volume[e] / 4;
+                }
+                for (a = 0; a < 4; ++a) {
+                    if (t[a] == i) continue;
+                    if (m->mark[t[a]] < first) m->mark[t[a]] = at++;
+                    if (!pass) continue;
+                    s->ring[m->mark[t[a]]] = t[a];
+                    s->ring_l[m->mark[t[a]]] += w * sfemi_dot3(gi, g + 3 * a);
+                }
+            }
+            s->ring_start[i + 1] = at;
+        }
+        if (pass) break;
+        SFEMI_TAKE(sfem_int, s->ring, pool, at);
+        SFEMI_TAKE(sfem_real, s->ring_l, pool, at);
+    }
+done:
+    return status;
+}
+
+static sfem_status sfemi_smooth_number(sfemi_smooth_maker *m, sfem_error *err)
+{
+    sfemi_smooth *s = m->out;
+    sfemi_pool pool = sfemi_pool_of(&m->mesh->allocator);
+    sfem_int *number, *order;
+    unsigned char *law;
+    sfem_status status = SFEM_OK;
+    SFEMI_TAKE(sfem_int, order, &pool, m->mesh->tets);
+    SFEMI_TRY(sfemi_smooth_sweep(m, order, &pool, err));
+    s->stars = sfemi_smooth_stars(m);
+    s->patches = sfemi_smooth_grow(m, order);
+    SFEMI_TAKE(sfem_int, number, &pool, (size_t)s->stars + (size_t)s->patches);
+    s->patches = sfemi_smooth_merge(m, s->patches, number);
+    SFEMI_TAKE(unsigned char, law, &pool, (size_t)s->stars + (size_t)s->patches);
+    sfemi_smooth_group(m, number, law);
+done:
+    sfemi_pool_free(&pool);
+    return status;
+}
+
+static sfem_status sfemi_smooth_fill(sfemi_smooth_maker *m, sfemi_pool *own, sfemi_pool *pool, sfem_error *err)
+{
+    sfemi_smooth *s = m->out;
+    const size_t cells = (size_t)s->cells;
+    sfem_status status = SFEM_OK;
+    sfem_int c, e;
+    SFEMI_TRY(sfemi_smooth_members(m, pool, err));
+    SFEMI_TAKE(sfem_int, s->start, own, cells + 1);
+    sfemi_smooth_entries(m, 0);
+    SFEMI_TAKE(sfem_int, s->node, own, s->start[cells]);
+    SFEMI_TAKE(sfem_real, s->g, own, 3 * (size_t)s->start[cells]);
+    SFEMI_TAKE(sfem_real, s->volume, own, cells);
+    SFEMI_TAKE(sfem_real, s->lambda, own, cells);
+    SFEMI_TAKE(sfem_real, s->soft, own, cells);
+    SFEMI_TAKE(sfem_real, s->mu, own, cells);
+    SFEMI_TAKE(sfem_real, s->stab, own, cells);
+    SFEMI_TAKE(sfem_real, s->weight, own, cells);
+    SFEMI_TAKE(unsigned char, s->law, own, s->groups);
+    SFEMI_TAKE(sfem_real, m->tet_g, pool, 12 * (size_t)m->mesh->tets);
+    SFEMI_TAKE(sfem_real, m->tet_volume, pool, m->mesh->tets);
+    SFEMI_TAKE(sfem_real, m->dense, pool, 9 * (size_t)s->most * (size_t)s->most);
+    sfemi_smooth_entries(m, 1);
+    for (e = 0; e < m->mesh->tets; ++e) {
+        sfem_real g[4][3];
+        m->tet_volume[e] = sfemi_element_gradients(m->mesh, e, g);
+        memcpy(m->tet_g + 12 * (size_t)e, g, sizeof g);
+    }
+    sfemi_smooth_shapes(m);
+    s->a = SFEMI_SMOOTH_A;
+    for (c = 0; c < s->star_groups * SFEMI_LANES; ++c) {
+        sfem_real a;
+        if (s->start[c] == s->start[c + 1]) continue;
+        a = sfemi_smooth_limit(m, c, m->mark);
+        s->a = fmin(s->a, a);
+        s->stab[c] = 2 * a * s->mu[c];
+    }
+    SFEMI_TRY(sfemi_smooth_transpose(m, own, err));
+    s->bytes = (size_t)s->start[cells] * (3 * sizeof(sfem_int) + 3 * sizeof(sfem_real)) +
+               (size_t)s->ring_start[m->mesh->nodes] * (sizeof(sfem_int) + sizeof(sfem_real)) +
+               cells * (sizeof(sfem_int) + 6 * sizeof(sfem_real)) + (size_t)s->groups +
+               (6 * (size_t)m->mesh->tets + 2 * (size_t)m->mesh->nodes) * sizeof(sfem_int);
+done:
+    return status;
+}
+
+/* The cells of a mesh, of[e] being the material of tet e; `own` keeps what is made. */
+static sfem_status sfemi_smooth_create(const sfem_mesh *mesh, const sfem_material *material, const sfem_int *of,
+                                       sfemi_pool *own, sfemi_smooth **out, sfem_error *err)
+{
+    sfemi_pool pool = sfemi_pool_of(&mesh->allocator);
+    sfemi_smooth_maker m;
+    sfem_status status = SFEM_OK;
+    memset(&m, 0, sizeof m);
+    m.mesh = mesh;
+    m.material = material;
+    m.of = of;
+    if (mesh->tets > INT32_MAX / 100)
+        return sfemi_fail(err, SFEM_TOO_LARGE, "%d smooth tets overflow the index type", (int)mesh->tets);
+    SFEMI_TAKE(sfemi_smooth, m.out, own, 1);
+    SFEMI_TAKE(sfem_int, m.out->tet_cell, own, 5 * (size_t)mesh->tets);
+    SFEMI_TAKE(sfem_int, m.out->patch, own, mesh->tets);
+    m.patch = m.out->patch;
+    SFEMI_TRY(sfemi_smooth_topology(&m, &pool, err));
+    SFEMI_TRY(sfemi_smooth_number(&m, err));
+    SFEMI_TRY(sfemi_smooth_fill(&m, own, &pool, err));
+    *out = m.out;
+done:
+    sfemi_pool_free(&pool);
+    return status;
+}
+
+/* Is star c node i's? */
+static int sfemi_smooth_owns(const sfemi_smooth *s, sfem_int c, sfem_int i) { return s->node[s->start[c]] == i; }
+
+/* ---- forces ---- */
+
+typedef struct sfemi_smooth_forces {
+    const sfemi_smooth *smooth;
+    const sfem_real *u; /* [nodes][3] */
+    sfem_real *force;   /* [nodes][3] */
+    const sfem_real *lambda; /* smooth->lambda or soft */
+    sfem_real *sum;     /* [nodes][9] the stars' rotations times their weights, or NULL */
+    sfem_real *u4;      /* [nodes][4] u, a vector each */
+    sfem_real *q;       /* [cells][3][4] the columns of V P, a vector each */
+    sfem_real *r;       /* [star_groups][9][SFEMI_LANES] rotations, if sum */
+    sfem_real *energy;  /* [groups], then [nodes] of tasks */
+    sfem_int nodes;
+    sfem_real stiffest; /* what the weights are relative to */
+    sfemi_cells_kernel kernel;
+    const struct sfemi_smooth_kernels *gather;
+} sfemi_smooth_forces;
+
+/* G of a group's cells, by lanes; the force of a node, and the ring's part of the energy */
+typedef struct sfemi_smooth_kernels {
+    void (*cells)(const sfemi_smooth *s, sfem_int first, const sfem_real *u4, sfem_real *p);
+    sfem_real (*node)(const sfemi_smooth_forces *job, sfem_int i);
+} sfemi_smooth_kernels;
+
+/* G = sum u_j g_j^T of a cell, `apart` from one entry to the next. Differences, so that a translation is only
+ * rounding. */
+static void sfemi_smooth_gradient(const sfemi_smooth *s, sfem_int c, const sfem_real *u, sfem_real *out, size_t apart)
+{
+    const sfem_int first = s->start[c], end = s->start[c + 1];
+    sfem_real g0 = 0, g1 = 0, g2 = 0, g3 = 0, g4 = 0, g5 = 0, g6 = 0, g7 = 0, g8 = 0;
+    const sfem_real *o = first < end ? u + 3 * (size_t)s->node[first] : u;
+    sfem_int k;
+    for (k = first + 1; k < end; ++k) {
+        const sfem_real *g = s->g + 3 * (size_t)k, *v = u + 3 * (size_t)s->node[k];
+        const sfem_real x = v[0] - o[0], y = v[1] - o[1], z = v[2] - o[2];
+        g0 += x * g[0], g1 += x * g[1], g2 += x * g[2];
+        g3 += y * g[0], g4 += y * g[1], g5 += y * g[2];
+        g6 += z * g[0], g7 += z * g[1], g8 += z * g[2];
+    }
+    out[0] = g0, out[apart] = g1, out[2 * apart] = g2;
+    out[3 * apart] = g3, out[4 * apart] = g4, out[5 * apart] = g5;
+    out[6 * apart] = g6, out[7 * apart] = g7, out[8 * apart] = g8;
+}
+
+static void sfemi_smooth_cells_0(const sfemi_smooth *s, sfem_int first, const sfem_real *u4, sfem_real *p)
+{
+    sfem_int c, k;
+    for (c = first; c < first + SFEMI_LANES; ++c, ++p) {
+        const sfem_real *o = s->start[c] < s->start[c + 1] ? u4 + 4 * (size_t)s->node[s->start[c]] : u4;
+        sfem_real g0 = 0, g1 = 0, g2 = 0, g3 = 0, g4 = 0, g5 = 0, g6 = 0, g7 = 0, g8 = 0;
+        for (k = s->start[c] + 1; k < s->start[c + 1]; ++k) {
+            const sfem_real *g = s->g + 3 * (size_t)k, *v = u4 + 4 * (size_t)s->node[k];
+            const sfem_real x = v[0] - o[0], y = v[1] - o[1], z = v[2] - o[2];
+            g0 += x * g[0], g1 += x * g[1], g2 += x * g[2];
+            g3 += y * g[0], g4 += y * g[1], g5 += y * g[2];
+            g6 += z * g[0], g7 += z * g[1], g8 += z * g[2];
+        }
+        p[0] = g0, p[SFEMI_LANES] = g1, p[2 * SFEMI_LANES] = g2;
+        p[3 * SFEMI_LANES] = g3, p[4 * SFEMI_LANES] = g4, p[5 * SFEMI_LANES] = g5;
+        p[6 * SFEMI_LANES] = g6, p[7 * SFEMI_LANES] = g7, p[8 * SFEMI_LANES] = g8;
+    }
+}
+
+static sfem_real sfemi_smooth_node_0(const sfemi_smooth_forces *job, sfem_int i)
+{
+    const sfemi_smooth *s = job->smooth;
+    const sfem_real *u = job->u4 + 4 * (size_t)i;
+    sfem_real f0 = 0, f1 = 0, f2 = 0, energy = 0;
+    sfem_int k;
+    for (k = s->in_start[i]; k < s->in_start[i + 1]; ++k) {
+        const sfem_real *q = job->q + 12 * (size_t)s->in_cell[k], *g = s->g + 3 * (size_t)s->in_entry[k];
+        f0 += q[0] * g[0] + q[4] * g[1] + q[8] * g[2];
+        f1 += q[1] * g[0] + q[5] * g[1] + q[9] * g[2];
+        f2 += q[2] * g[0] + q[6] * g[1] + q[10] * g[2];
+    }
+    for (k = s->ring_start[i]; k < s->ring_start[i + 1]; ++k) {
+        const sfem_real *v = job->u4 + 4 * (size_t)s->ring[k], w = s->ring_l[k];
+        const sfem_real x = v[0] - u[0], y = v[1] - u[1], z = v[2] - u[2];
+        f0 += w * x, f1 += w * y, f2 += w * z;
+        energy -= w * (x * x + y * y + z * z);
+    }
+    job->force[3 * (size_t)i] = f0;
+    job->force[3 * (size_t)i + 1] = f1;
+    job->force[3 * (size_t)i + 2] = f2;
+    return energy / 4;
+}
+
+#if SFEMI_X86
+SFEMI_TARGET_1 static void sfemi_smooth_cells_1(const sfemi_smooth *s, sfem_int first, const sfem_real *u4, sfem_real *p)
+{
+    sfem_real out[12];
+    sfem_int c, k;
+    for (c = first; c < first + SFEMI_LANES; ++c, ++p) {
+        const sfem_int end = s->start[c + 1];
+        const __m256d o = _mm256_loadu_pd(s->start[c] < end ? u4 + 4 * (size_t)s->node[s->start[c]] : u4);
+        __m256d a0 = _mm256_setzero_pd(), a1 = a0, a2 = a0; /* the columns of G */
+        for (k = s->start[c] + 1; k < end; ++k) {
+            const sfem_real *g = s->g + 3 * (size_t)k;
+            const __m256d d = _mm256_sub_pd(_mm256_loadu_pd(u4 + 4 * (size_t)s->node[k]), o);
+            a0 = _mm256_fmadd_pd(d, _mm256_broadcast_sd(g), a0);
+            a1 = _mm256_fmadd_pd(d, _mm256_broadcast_sd(g + 1), a1);
+            a2 = _mm256_fmadd_pd(d, _mm256_broadcast_sd(g + 2), a2);
+        }
+        _mm256_storeu_pd(out, a0);
+        _mm256_storeu_pd(out + 4, a1);
+        _mm256_storeu_pd(out + 8, a2);
+        p[0] = out[0], p[SFEMI_LANES] = out[4], p[2 * SFEMI_LANES] = out[8];
+        p[3 * SFEMI_LANES] = out[1], p[4 * SFEMI_LANES] = out[5], p[5 * SFEMI_LANES] = out[9];
+        p[6 * SFEMI_LANES] = out[2], p[7 * SFEMI_LANES] = out[6], p[8 * SFEMI_LANES] = out[10];
+    }
+}
+
+SFEMI_TARGET_1 static sfem_real sfemi_smooth_node_1(const sfemi_smooth_forces *job, sfem_int i)
+{
+    const sfemi_smooth *s = job->smooth;
+    const __m256d u = _mm256_loadu_pd(job->u4 + 4 * (size_t)i);
+    __m256d f = _mm256_setzero_pd(), e = f, h = f;
+    sfem_real out[4], energy[4];
+    sfem_int k;
+    for (k = s->in_start[i]; k < s->in_start[i + 1]; ++k) {
+        const sfem_real *q = job->q + 12 * (size_t)s->in_cell[k], *g = s->g + 3 * (size_t)s->in_entry[k];
+        f = _mm256_fmadd_pd(_mm256_loadu_pd(q), _mm256_broadcast_sd(g), f);
+        h = _mm256_fmadd_pd(_mm256_loadu_pd(q + 4), _mm256_broadcast_sd(g + 1), h);
+        f = _mm256_fmadd_pd(_mm256_loadu_pd(q + 8), _mm256_broadcast_sd(g + 2), f);
+    }
+    for (k = s->ring_start[i]; k < s->ring_start[i + 1]; ++k) {
+        const __m256d d = _mm256_sub_pd(_mm256_loadu_pd(job->u4 + 4 * (size_t)s->ring[k]), u);
+        const __m256d wd = _mm256_mul_pd(d, _mm256_broadcast_sd(s->ring_l + k));
+        f = _mm256_add_pd(f, wd);
+        e = _mm256_fnmadd_pd(wd, d, e);
+    }
+    _mm256_storeu_pd(out, _mm256_add_pd(f, h));
+    _mm256_storeu_pd(energy, e);
+    memcpy(job->force + 3 * (size_t)i, out, 3 * sizeof *out);
+    return (energy[0] + energy[1] + energy[2]) / 4;
+}
+#endif
+
+/* WAY_2: vectors of a node's three coordinates gain nothing from AVX-512 */
+#define SFEMI_WAY_0 {sfemi_smooth_cells_0, sfemi_smooth_node_0}
+#define SFEMI_WAY_1 {sfemi_smooth_cells_1, sfemi_smooth_node_1}
+#define SFEMI_WAY_2 SFEMI_WAY_1
+#define SFEMI_K(p) SFEMI_WAY_##p
+static const sfemi_smooth_kernels sfemi_smooth_path[] = SFEMI_PATHS(SFEMI_K);
+#undef SFEMI_K
+#undef SFEMI_WAY_0
+#undef SFEMI_WAY_1
+#undef SFEMI_WAY_2
+
+static void sfemi_smooth_spread_u(void *data, sfem_int index)
+{
+    const sfemi_smooth_forces *job = (const sfemi_smooth_forces *)data;
+    sfem_int i, end = job->nodes;
+    if (end - index * SFEMI_NODE_TASK > SFEMI_NODE_TASK) end = (index + 1) * SFEMI_NODE_TASK;
+    for (i = index * SFEMI_NODE_TASK; i < end; ++i) {
+        const sfem_real *u = job->u + 3 * (size_t)i;
+        sfem_real *to = job->u4 + 4 * (size_t)i;
+        to[0] = u[0], to[1] = u[1], to[2] = u[2], to[3] = 0;
+    }
+}
+
+static void sfemi_smooth_some_cells(void *data, sfem_int index)
+{
+    const sfemi_smooth_forces *job = (const sfemi_smooth_forces *)data;
+    const sfemi_smooth *s = job->smooth;
+    sfem_real p[9 * SFEMI_LANES];
+    sfem_int group, end = (index + 1) * SFEMI_CELL_TASK;
+    int l;
+    if (end > s->groups) end = s->groups;
+    for (group = index * SFEMI_CELL_TASK; group < end; ++group) {
+        const size_t first = SFEMI_LANES * (size_t)group;
+        sfem_real *q = job->q + 12 * first;
+        job->gather->cells(s, (sfem_int)first, job->u4, p);
+        job->energy[group] = job->kernel(s->law[group], job->lambda + first, s->mu + first, s->stab + first, p,
+                                         job->sum && group < s->star_groups ? job->r + 9 * first : NULL);
+        for (l = 0; l < SFEMI_LANES; ++l, q += 12) {
+            q[0] = p[l], q[1] = p[3 * SFEMI_LANES + l], q[2] = p[6 * SFEMI_LANES + l], q[3] = 0;
+            q[4] = p[SFEMI_LANES + l], q[5] = p[4 * SFEMI_LANES + l], q[6] = p[7 * SFEMI_LANES + l], q[7] = 0;
+            q[8] = p[2 * SFEMI_LANES + l], q[9] = p[5 * SFEMI_LANES + l], q[10] = p[8 * SFEMI_LANES + l], q[11] = 0;
+        }
+    }
+}
+
+static void sfemi_smooth_some_nodes(void *data, sfem_int index)
+{
+    const sfemi_smooth_forces *job = (const sfemi_smooth_forces *)data;
+    const sfemi_smooth *s = job->smooth;
+    const sfem_int stars = s->star_groups * SFEMI_LANES;
+    sfem_int i, k, end = job->nodes;
+    sfem_real energy = 0;
+    int c;
+    if (end - index * SFEMI_NODE_TASK > SFEMI_NODE_TASK) end = (index + 1) * SFEMI_NODE_TASK;
+    for (i = index * SFEMI_NODE_TASK; i < end; ++i) {
+        energy += job->gather->node(job, i);
+        if (!job->sum) continue;
+        memset(job->sum + 9 * (size_t)i, 0, 9 * sizeof *job->sum);
+        for (k = s->in_start[i]; k < s->in_start[i + 1] && s->in_cell[k] < stars; ++k) {
+            const sfem_int star = s->in_cell[k];
+            const sfem_real *r = job->r + 9 * SFEMI_LANES * (size_t)(star / SFEMI_LANES) + star % SFEMI_LANES;
+            if (!sfemi_smooth_owns(s, star, i)) continue;
+            for (c = 0; c < 9; ++c)
+                job->sum[9 * (size_t)i + (size_t)c] += s->weight[star] / job->stiffest * r[SFEMI_LANES * c];
+        }
+    }
+    job->energy[s->groups + index] = energy;
+}
+
+/* For work: what a job needs of sfem_real. */
+static size_t sfemi_smooth_work_size(const sfemi_smooth *s, sfem_int nodes)
+{
+    return SFEMI_LANES * (12 * (size_t)s->groups + 9 * (size_t)s->star_groups) + 4 * (size_t)nodes + (size_t)s->groups +
+           (size_t)nodes / SFEMI_NODE_TASK + 1;
+}
+
+/* Energy and internal force: gathers only, so that any number of threads leaves the same bits. */
+static sfem_real sfemi_smooth_run(sfemi_smooth_forces *job, sfem_precision precision, sfem_real *work,
+                                  const sfem_exec *exec)
+{
+    const sfemi_smooth *s = job->smooth;
+    const sfem_int cells = (s->groups - 1) / SFEMI_CELL_TASK + 1, nodes = (job->nodes - 1) / SFEMI_NODE_TASK + 1;
+    sfem_real energy = 0;
+    sfem_int k;
+    job->u4 = work;
+    job->q = job->u4 + 4 * (size_t)job->nodes;
+    job->r = job->q + 12 * SFEMI_LANES * (size_t)s->groups;
+    job->energy = job->r + 9 * SFEMI_LANES * (size_t)s->star_groups;
+    job->kernel = sfemi_cells_path[sfemi_path()][precision == SFEM_MIXED];
+    job->gather = &sfemi_smooth_path[sfemi_path()];
+    sfemi_run(exec, nodes, sfemi_smooth_spread_u, job);
+    sfemi_run(exec, cells, sfemi_smooth_some_cells, job);
+    sfemi_run(exec, nodes, sfemi_smooth_some_nodes, job);
+    for (k = 0; k < s->groups + nodes; ++k) energy += job->energy[k];
+    return energy;
+}
+
+/* ---- matrices ---- */
+
+/* y = K x of the rest pose, a cell after another: needs no memory. lambda: s->lambda or s->soft. */
+static void sfemi_smooth_multiply(const sfemi_smooth *s, const sfem_real *lambda, sfem_int nodes, const sfem_real *x,
+                                  sfem_real *y)
+{
+    sfem_int c, k, i;
+    int r, d;
+    memset(y, 0, 3 * (size_t)nodes * sizeof *y);
+    for (c = 0; c < s->cells; ++c) {
+        sfem_real g[9], p[9], trace;
+        sfemi_smooth_gradient(s, c, x, g, 1);
+        trace = lambda[c] * (g[0] + g[4] + g[8]);
+        for (r = 0; r < 3; ++r)
+            for (d = 0; d < 3; ++d)
+                p[3 * r + d] =
+                    s->mu[c] * (g[3 * r + d] + g[3 * d + r]) - s->stab[c] * g[3 * r + d] + (r == d ? trace : 0);
+        for (k = s->start[c]; k < s->start[c + 1]; ++k)
+            for (r = 0; r < 3; ++r)
+                y[3 * (size_t)s->node[k] + (size_t)r] += sfemi_dot3(p + 3 * r, s->g + 3 * (size_t)k);
+    }
+    for (i = 0; i < nodes; ++i)
+        for (k = s->ring_start[i]; k < s->ring_start[i + 1]; ++k)
+            for (r = 0; r < 3; ++r)
+                y[3 * (size_t)i + (size_t)r] +=
+                    s->ring_l[k] * (x[3 * (size_t)s->ring[k] + (size_t)r] - x[3 * (size_t)i + (size_t)r]);
+}
+
+/* 1/2 x.K x, J, summed so that only squares are added. */
+static sfem_real sfemi_smooth_energy(const sfemi_smooth *s, sfem_int nodes, const sfem_real *x)
+{
+    sfem_real energy = 0;
+    sfem_int c, k, i;
+    int r;
+    for (c = 0; c < s->cells; ++c) {
+        sfem_real g[9], p[9];
+        sfemi_smooth_gradient(s, c, x, g, 1);
+        energy += sfemi_law_stress(SFEM_LINEAR, s->lambda[c], s->mu[c], g, p);
+        for (r = 0; r < 9; ++r) energy -= s->stab[c] / 2 * g[r] * g[r];
+    }
+    for (i = 0; i < nodes; ++i)
+        for (k = s->ring_start[i]; k < s->ring_start[i + 1]; ++k)
+            for (r = 0; r < 3; ++r) {
+                const sfem_real d = x[3 * (size_t)s->ring[k] + (size_t)r] - x[3 * (size_t)i + (size_t)r];
+                energy -= s->ring_l[k] / 4 * d * d;
+            }
+    return energy;
+}
+
+/* The place of block (i, j), i >= j, in a matrix's pattern. */
+static sfem_int sfemi_smooth_find(const sfem_int *row, const sfem_int *col, sfem_int i, sfem_int j)
+{
+    sfem_int low = row[i], high = row[i + 1] - 1;
+    while (low < high) {
+        const sfem_int mid = low + (high - low) / 2;
+        if (col[mid] < j) low = mid + 1;
+        else high = mid;
+    }
+    return low;
+}
+
+/* to_add += the Hessian of cell c at displacements u (NULL: at rest). */
+static void sfemi_smooth_add_cell(const sfemi_smooth *s, sfem_int c, sfem_real lambda, const sfem_real *u,
+                                  sfem_tangent kind, const sfem_matrix *to_add)
+{
+    const sfem_int *row = to_add->row, *col = to_add->col;
+    sfem_real *val = to_add->val;
+    const int law = u ? (int)s->law[c / SFEMI_LANES] : (int)SFEM_LINEAR;
+    sfem_real grad[9] = {0, 0, 0, 0, 0, 0, 0, 0, 0}, df[9], dp[9];
+    sfemi_modes modes;
+    sfem_int a, b;
+    int axis, i;
+    if (u) sfemi_smooth_gradient(s, c, u, grad, 1);
+    sfemi_law_modes((sfem_law)law, lambda, s->mu[c], grad, kind, &modes);
+    for (b = s->start[c]; b < s->start[c + 1]; ++b)
+        for (axis = 0; axis < 3; ++axis) { /* what moving node b along an axis does */
+            memset(df, 0, sizeof df);
+            memcpy(df + 3 * axis, s->g + 3 * (size_t)b, 3 * sizeof *df);
+            sfemi_modes_apply(&modes, df, dp);
+            for (i = 0; i < 9; ++i) dp[i] -= s->stab[c] * df[i];
+            for (a = s->start[c]; a < s->start[c + 1]; ++a) {
+                const sfem_real *g = s->g + 3 * (size_t)a;
+                sfem_real *to;
+                if (s->node[a] < s->node[b]) continue;
+                to = val + 9 * (size_t)sfemi_smooth_find(row, col, s->node[a], s->node[b]);
+                for (i = 0; i < 3; ++i) to[3 * i + axis] += sfemi_dot3(dp + 3 * i, g);
+            }
+        }
+}
+
+/* to_add += the patches' part of K0, of its tangent at u. */
+static void sfemi_smooth_add_patches(const sfemi_smooth *s, const sfem_real *u, sfem_tangent kind,
+                                     const sfem_matrix *to_add)
+{
+    sfem_int c;
+    for (c = s->star_groups * SFEMI_LANES; c < s->cells; ++c)
+        if (s->start[c] < s->start[c + 1]) sfemi_smooth_add_cell(s, c, s->soft[c], u, kind, to_add);
+}
+
+/* val = K, of its tangent at u, on the pattern of sfemi_smooth_pattern. */
+static void sfemi_smooth_assemble(const sfemi_smooth *s, const sfem_real *u, sfem_tangent kind, sfem_matrix *out)
+{
+    sfem_int c, i, k;
+    int r;
+    memset(out->val, 0, 9 * (size_t)out->row[out->n] * sizeof *out->val);
+    for (c = 0; c < s->cells; ++c)
+        if (s->start[c] < s->start[c + 1]) sfemi_smooth_add_cell(s, c, s->lambda[c], u, kind, out);
+    for (i = 0; i < out->n; ++i)
+        for (k = s->ring_start[i]; k < s->ring_start[i + 1]; ++k) {
+            sfem_real *own = out->val + 9 * ((size_t)out->row[i + 1] - 1);
+            for (r = 0; r < 9; r += 4) own[r] -= s->ring_l[k];
+            if (s->ring[k] > i) continue;
+            own = out->val + 9 * (size_t)sfemi_smooth_find(out->row, out->col, i, s->ring[k]);
+            for (r = 0; r < 9; r += 4) own[r] += s->ring_l[k];
+        }
+}
+
+/* Pattern of a matrix that couples nodes of one cell, of cells from `first` on: 0 for K, the patches for K0. mark [n];
+ * col NULL: counts only. */
+static void sfemi_smooth_pattern(const sfemi_smooth *s, sfem_int first, sfem_int n, sfem_int *mark, sfem_int *row,
+                                 sfem_int *col)
+{
+    sfem_int i, j, k, at, to;
+    for (i = 0; i < n; ++i) mark[i] = -1;
+    for (row[0] = i = 0; i < n; ++i) {
+        sfem_int end = row[i];
+        for (k = s->in_start[i]; k < s->in_start[i + 1]; ++k) {
+            const sfem_int c = s->in_cell[k];
+            for (at = s->start[c]; c >= first && at < s->start[c + 1]; ++at) {
+                j = s->node[at];
+                if (j >= i || mark[j] == i) continue;
+                mark[j] = i;
+                for (to = end++; col && to > row[i] && col[to - 1] > j; --to) col[to] = col[to - 1];
+                if (col) col[to] = j;
+            }
+        }
+        if (col) col[end] = i;
+        row[i + 1] = end + 1;
+    }
+}
+
+#else /* no model has any: the same for NULL, the rest is never called */
+typedef struct sfemi_smooth {
+    sfem_int star_groups;
+    const sfem_real *lambda, *soft;
+    sfem_real poisson;
+} sfemi_smooth;
+static size_t sfemi_smooth_work_size(const sfemi_smooth *s, sfem_int nodes) { (void)s, (void)nodes; return 0; }
+static void sfemi_smooth_multiply(const sfemi_smooth *s, const sfem_real *lambda, sfem_int nodes, const sfem_real *x,
+                                  sfem_real *y)
+{
+    (void)s, (void)lambda, (void)nodes, (void)x, (void)y;
+}
+static sfem_real sfemi_smooth_energy(const sfemi_smooth *s, sfem_int nodes, const sfem_real *x)
+{
+    (void)s, (void)nodes, (void)x;
+    return 0;
+}
+static void sfemi_smooth_add_patches(const sfemi_smooth *s, const sfem_real *u, sfem_tangent kind,
+                                     const sfem_matrix *to_add)
+{
+    (void)s, (void)u, (void)kind, (void)to_add;
+}
+static void sfemi_smooth_assemble(const sfemi_smooth *s, const sfem_real *u, sfem_tangent kind, sfem_matrix *out)
+{
+    (void)s, (void)u, (void)kind, (void)out;
+}
+static void sfemi_smooth_pattern(const sfemi_smooth *s, sfem_int first, sfem_int n, sfem_int *mark, sfem_int *row,
+                                 sfem_int *col)
+{
+    (void)s, (void)first, (void)n, (void)mark, (void)row, (void)col;
+}
+#endif /* SFEM_NO_SMOOTH */
+
+/* ============================================================================================
  * >>fem   assembly, mass, damping, forces, tangents, loads, stress
  *
  * K, D and a consistent M live on one pattern: the node graph, lower half by rows. M is a scalar a
@@ -17098,7 +18405,6 @@ static const sfemi_polars_kernel sfemi_polars_path[] = SFEMI_PATHS(SFEMI_K);
  * one colour and add into the matrix at the same time. */
 #define SFEMI_CHUNK_TETS 256
 #define SFEMI_CHUNK_TASK 4     /* chunks a task */
-#define SFEMI_NODE_TASK  2048  /* nodes a task */
 
 typedef struct sfemi_chunks {
     sfem_int count, copies, colors;
@@ -17136,11 +18442,14 @@ struct sfem_model {
     sfem_real stiffest;        /* Pa, the largest lambda + 2 mu */
     sfem_real margin;          /* p for modes that steps do not resolve, by the laws, see SFEM_P_SAFE */
     sfemi_chunks chunks;
+    sfemi_smooth *smooth;      /* NULL: linear tets; else stiffness is K0, see >>smooth */
     sfem_real total_mass;
     int lock;                  /* guards what follows */
     sfem_int references;
     sfem_factor *factors;      /* those that bodies use now */
     sfem_real omega_max;       /* of the free body at rest, within a hundredth; 0: not known */
+    sfem_matrix wide;          /* smooth: K itself, once something has asked for it, */
+    sfem_matrix_upper wide_upper; /* and its columns */
 };
 
 SFEM_DEF sfem_material sfem_default_material(void)
@@ -17151,6 +18460,7 @@ SFEM_DEF sfem_material sfem_default_material(void)
     m.density = 1000;
     m.mass_damping = m.stiffness_damping = 0;
     m.law = SFEM_COROTATIONAL;
+    m.tet = SFEM_TET_LINEAR;
     return m;
 }
 
@@ -17183,6 +18493,21 @@ static sfem_status sfemi_fem_check_material(const sfem_material *m, sfem_int ind
     if ((unsigned)m->law > SFEM_NEOHOOKEAN)
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "material %d: there is no law %d", (int)index,
                           (int)m->law);
+    if ((unsigned)m->tet > SFEM_TET_SMOOTH)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "material %d: there is no tet %d", (int)index, (int)m->tet);
+    if (m->tet == SFEM_TET_SMOOTH && m->law == SFEM_STVK)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT,
+                          "material %d: smooth tets have no St. Venant-Kirchhoff law: take SFEM_NEOHOOKEAN",
+                          (int)index);
+    if (m->tet == SFEM_TET_SMOOTH && m->poisson < 0)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT,
+                          "material %d: smooth tets need a Poisson's ratio of at least 0, not %g: take SFEM_TET_LINEAR",
+                          (int)index, m->poisson);
+#ifdef SFEM_NO_SMOOTH
+    if (m->tet == SFEM_TET_SMOOTH)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT,
+                          "material %d: smooth tets: the library is compiled with SFEM_NO_SMOOTH", (int)index);
+#endif
     return SFEM_OK;
 }
 
@@ -17227,8 +18552,18 @@ static sfem_status sfemi_fem_check(const sfem_model_def *def, sfem_error *err)
     if (status != SFEM_OK) return status;
     if (count < 1) return sfemi_fail(err, SFEM_BAD_ARGUMENT, "material_count is %d", (int)count);
     for (i = 0; i < count; ++i) {
-        status = sfemi_fem_check_material(def->materials ? def->materials + i : &def->material, i, err);
+        const sfem_material *m = def->materials ? def->materials + i : &def->material;
+        const sfem_material *first = def->materials ? def->materials : m;
+        status = sfemi_fem_check_material(m, i, err);
         if (status != SFEM_OK) return status;
+        if (m->tet != first->tet)
+            return sfemi_fail(err, SFEM_BAD_ARGUMENT,
+                              "materials 0 and %d differ in their tets: all of a model must be linear or all smooth",
+                              (int)i);
+        if (m->tet == SFEM_TET_SMOOTH && m->stiffness_damping != first->stiffness_damping)
+            return sfemi_fail(err, SFEM_BAD_ARGUMENT,
+                              "materials 0 and %d differ in their stiffness damping: smooth tets need the same",
+                              (int)i);
     }
     for (i = 0; i < def->mesh->tets; ++i) {
         const sfem_int m = sfemi_fem_material_of(def, i);
@@ -17267,12 +18602,20 @@ static sfem_status sfemi_fem_pattern(sfem_model *model, sfem_error *err)
     sfemi_pool pool = sfemi_pool_of(&model->allocator);
     sfem_int *start, *list, *mark, i, a, e;
     sfem_status status = SFEM_OK;
+    const sfemi_smooth *smooth = model->smooth;
     if (mesh->tets > INT32_MAX / 10)
         return sfemi_fail(err, SFEM_TOO_LARGE, "%d tets overflow the index type", (int)mesh->tets);
     SFEMI_TAKE(sfem_int, start, &pool, (size_t)mesh->nodes + 2);
     SFEMI_TAKE(sfem_int, list, &pool, 4 * (size_t)mesh->tets);
     SFEMI_TAKE(sfem_int, mark, &pool, mesh->nodes);
     SFEMI_TAKE(sfem_int, model->row, &model->pool, (size_t)mesh->nodes + 1);
+    if (smooth) {
+        const sfem_int first = smooth->star_groups * SFEMI_LANES;
+        sfemi_smooth_pattern(smooth, first, mesh->nodes, mark, model->row, NULL);
+        SFEMI_TAKE(sfem_int, model->col, &model->pool, model->row[mesh->nodes]);
+        sfemi_smooth_pattern(smooth, first, mesh->nodes, mark, model->row, model->col);
+        goto done;
+    }
     for (i = 0; i < 4 * mesh->tets; ++i) ++start[mesh->tet[i] + 2];
     for (i = 0; i < mesh->nodes; ++i) start[i + 2] += start[i + 1];
     for (e = 0; e < mesh->tets; ++e)
@@ -17346,7 +18689,7 @@ static void sfemi_chunks_fill(const sfem_model *model, sfem_int e, int filler,
     sfemi_element_gradients(&model->mesh, e, g);
     for (i = 0; i < 9; ++i) block->shape[i][lane] = g[1 + i / 3][i % 3];
     for (i = 0; i < 4; ++i) block->node[i][lane] = 4 * local[t[i]];
-    block->lambda[lane] = filler ? 0 : model->volume[e] * model->lambda[e];
+    block->lambda[lane] = filler || model->smooth ? 0 : model->volume[e] * model->lambda[e];
     block->mu[lane] = filler ? 0 : model->volume[e] * model->mu[e];
     block->weight[lane] = filler ? 0 : sfemi_fem_weight(model, e);
     block->tet[lane] = e;
@@ -17504,7 +18847,7 @@ static void sfemi_fem_add_tet(sfem_model *model, sfem_int e, const sfem_material
             at = sfemi_fem_find(model->row, model->col, t[a], t[b]);
             place[a > b ? a * (a + 1) / 2 + b : b * (b + 1) / 2 + a] = at;
             kk = model->stiffness.val + 9 * (size_t)at;
-            sfemi_element_block(g[a], g[b], v * model->lambda[e], v * model->mu[e], k);
+            sfemi_element_block(g[a], g[b], model->smooth ? 0 : v * model->lambda[e], v * model->mu[e], k);
             for (i = 0; i < 9; ++i) kk[i] += k[i];
             if (model->block_mass) model->block_mass[at] += a == b ? 2 * node : node;
             if (!model->damping) continue;
@@ -17553,8 +18896,45 @@ static sfem_status sfemi_fem_add_damping(sfem_model *model, const sfem_matrix *d
 static void sfemi_fem_destroy(sfem_model *model)
 {
     sfem_matrix_upper_free(&model->upper);
+    sfem_matrix_upper_free(&model->wide_upper);
+    sfem_matrix_free(&model->wide);
     sfemi_pool_free(&model->pool);
 }
+
+#ifndef SFEM_NO_SMOOTH
+/* The first of the definition's materials that is as elastic as that of a tet: averages do not stop between equal
+ * ones. */
+static sfem_int sfemi_fem_elastic_of(const sfem_model_def *def, sfem_int tet)
+{
+    const sfem_int own = sfemi_fem_material_of(def, tet);
+    sfem_int k;
+    for (k = 0; k < own; ++k) {
+        const sfem_material *a = def->materials + k, *b = def->materials + own;
+        if (a->young == b->young && a->poisson == b->poisson && a->law == b->law) return k;
+    }
+    return own;
+}
+
+/* Stars and patches. */
+static sfem_status sfemi_fem_smooth(sfem_model *model, const sfem_model_def *def, sfem_error *err)
+{
+    sfem_int *of = NULL, e;
+    sfem_status status = SFEM_OK;
+    SFEMI_NEW(sfem_int, of, &model->allocator, model->mesh.tets);
+    for (e = 0; e < model->mesh.tets; ++e) of[e] = sfemi_fem_elastic_of(def, e);
+    SFEMI_TRY(sfemi_smooth_create(&model->mesh, def->materials ? def->materials : &def->material, of, &model->pool,
+                                  &model->smooth, err));
+done:
+    sfemi_delete(&model->allocator, of);
+    return status;
+}
+#else
+static sfem_status sfemi_fem_smooth(sfem_model *model, const sfem_model_def *def, sfem_error *err)
+{
+    (void)model, (void)def, (void)err;
+    return SFEM_OK;
+}
+#endif
 
 static sfem_status sfemi_fem_allocate(sfem_model *model, const sfem_model_def *def, sfem_error *err)
 {
@@ -17573,6 +18953,8 @@ static sfem_status sfemi_fem_allocate(sfem_model *model, const sfem_model_def *d
         SFEMI_TAKE(sfem_int, model->mesh.region, pool, mesh->tets);
         memcpy(model->mesh.region, mesh->region, (size_t)mesh->tets * sizeof *mesh->region);
     }
+    if ((def->materials ? def->materials : &def->material)->tet == SFEM_TET_SMOOTH)
+        SFEMI_TRY(sfemi_fem_smooth(model, def, err));
     SFEMI_TRY(sfemi_fem_pattern(model, err));
     blocks = (size_t)model->row[mesh->nodes];
     SFEMI_TAKE(sfem_real, model->stiffness.val, pool, 9 * blocks);
@@ -17615,6 +18997,8 @@ SFEM_DEF sfem_status sfem_model_create(const sfem_model_def *def, sfem_model **o
     }
     for (i = 0; i < model->mesh.tets; ++i)
         sfemi_fem_add_tet(model, i, materials + sfemi_fem_material_of(def, i));
+    if (model->smooth)
+        sfemi_smooth_add_patches(model->smooth, NULL, SFEM_TANGENT_EXACT, &model->stiffness);
     SFEMI_TRY(sfemi_chunks_build(model, err));
     for (i = 0; i < model->mesh.nodes; ++i) model->total_mass += model->node_mass[i];
     if (def->damping) SFEMI_TRY(sfemi_fem_add_damping(model, def->damping, err));
@@ -17665,6 +19049,27 @@ SFEM_DEF sfem_real sfem_model_total_mass(const sfem_model *model)
     return model->total_mass;
 }
 
+#ifndef SFEM_NO_SMOOTH
+SFEM_DEF sfem_smooth_info sfem_model_smooth_info(const sfem_model *model)
+{
+    SFEM_ASSERT(model);
+    sfem_smooth_info info;
+    memset(&info, 0, sizeof info);
+    if (!model->smooth) return info;
+    info.stars = model->smooth->stars;
+    info.patches = model->smooth->patches;
+    info.least = model->smooth->a;
+    info.bytes = model->smooth->bytes;
+    return info;
+}
+
+SFEM_DEF const sfem_int *sfem_model_smooth_patch(const sfem_model *model)
+{
+    SFEM_ASSERT(model);
+    return model->smooth ? model->smooth->patch : NULL;
+}
+#endif
+
 /* ---- units: what is seldom meant. The softest gels have some 10 Pa and rubber foam 5 to 50 kg/m^3, the stiffest and
  * densest stuff is diamond (1.2e12 Pa) and osmium (22 600 kg/m^3). ---- */
 
@@ -17712,8 +19117,8 @@ static void sfemi_advice_materials(const sfem_model *m, sfem_real across, sfemi_
     if (soft * 9.81 * across > 1)
         sfemi_advice_add(a, "a body of %.4g m with this density and modulus sinks into itself: its own weight is %.2g times the modulus",
                          across, soft * 9.81 * across);
-    if (poisson > 0.49)
-        sfemi_advice_add(a, "a Poisson ratio is %.4g: linear tets are far too stiff above 0.49", poisson);
+    if (poisson > 0.49 && !m->smooth)
+        sfemi_advice_add(a, "a Poisson ratio is %.4g: linear tets are far too stiff above 0.49, SFEM_TET_SMOOTH is not", poisson);
 }
 
 SFEM_DEF int sfem_model_advice(const sfem_model *model, sfem_real h, char *text, size_t size)
@@ -17754,6 +19159,23 @@ static void sfemi_fem_block(const sfem_model *model, sfem_int at, sfem_int i, sf
     if (model->damping && cd != 0)
         for (j = 0; j < 9; ++j) block[j] += cd * model->damping[9 * (size_t)at + (size_t)j];
 }
+
+#ifndef SFEM_NO_BODY
+/* K itself and its pattern; of smooth tets sfemi_fem_widen makes it. */
+static const sfem_matrix *sfemi_fem_exact(const sfem_model *model)
+{
+    return model->smooth ? &model->wide : &model->stiffness;
+}
+#endif
+
+#if !defined(SFEM_NO_BODY) || !defined(SFEM_NO_MODES)
+/* The place in the model's pattern of block (i, j) at `at` of that of sfemi_fem_exact; -1: M and the rest of D have
+ * nothing there. */
+static sfem_int sfemi_fem_narrow(const sfem_model *model, sfem_int at, sfem_int i, sfem_int j)
+{
+    return model->smooth ? sfemi_fem_find(model->row, model->col, i, j) : at;
+}
+#endif
 
 /* Arrays of a matrix of the given size, `size` numbers a block; on failure those made so far are in *a, to be
  * freed. */
@@ -17798,11 +19220,74 @@ done:
     return status;
 }
 
+SFEM_DEF sfem_status sfem_model_assemble_stiffness(const sfem_model *model, const sfem_allocator *allocator,
+                                                   sfem_matrix *out, sfem_error *err)
+{
+    SFEM_ASSERT(model && out);
+    static const sfem_allocator standard = {0, 0, 0};
+    const sfem_allocator *al = allocator ? allocator : &standard;
+    const sfemi_smooth *s = model->smooth;
+    const sfem_int n = model->mesh.nodes;
+    sfem_int *row = NULL, *col = NULL, *mark = NULL, *count = NULL;
+    sfem_matrix a;
+    sfem_status status = SFEM_OK;
+    if (!s) return sfem_model_combine(model, 1, 0, 0, allocator, out, err);
+    memset(&a, 0, sizeof a);
+    SFEMI_NEW(sfem_int, mark, al, n);
+    SFEMI_NEW(sfem_int, count, al, (size_t)n + 1);
+    sfemi_smooth_pattern(s, 0, n, mark, count, NULL);
+    SFEMI_TRY(sfemi_fem_new_matrix(n, (size_t)count[n], 9, al, &row, &col, &a, err));
+    sfemi_smooth_pattern(s, 0, n, mark, row, col);
+    sfemi_smooth_assemble(s, NULL, SFEM_TANGENT_EXACT, &a);
+    *out = a;
+done:
+    if (status != SFEM_OK) sfem_matrix_free(&a);
+    sfemi_delete(al, mark);
+    sfemi_delete(al, count);
+    return status;
+}
+
+#ifndef SFEM_NO_BODY
+/* Makes K itself of smooth tets, once for the model. */
+static sfem_status sfemi_fem_widen(sfem_model *model, sfem_error *err)
+{
+    sfem_matrix wide;
+    sfem_matrix_upper upper;
+    sfem_status status;
+    int ready;
+    if (!model->smooth) return SFEM_OK;
+    sfemi_lock(&model->lock);
+    ready = model->wide.val != NULL;
+    sfemi_unlock(&model->lock);
+    if (ready) return SFEM_OK;
+    status = sfem_model_assemble_stiffness(model, &model->allocator, &wide, err);
+    if (status != SFEM_OK) return status;
+    status = sfem_matrix_upper_create(&wide, &model->allocator, &upper, err);
+    if (status != SFEM_OK) {
+        sfem_matrix_free(&wide);
+        return status;
+    }
+    sfemi_lock(&model->lock);
+    ready = model->wide.val != NULL;
+    if (!ready) {
+        model->wide_upper = upper;
+        model->wide = wide;
+        model->wide.upper = &model->wide_upper;
+    }
+    sfemi_unlock(&model->lock);
+    if (!ready) return SFEM_OK; /* else another thread was faster */
+    sfem_matrix_free(&wide);
+    sfem_matrix_upper_free(&upper);
+    return SFEM_OK;
+}
+#endif
+
 SFEM_DEF void sfem_model_multiply_stiffness(const sfem_model *model, const sfem_real *x, sfem_real *y,
                                             const sfem_exec *exec)
 {
     SFEM_ASSERT(model && x && y);
-    sfem_matrix_multiply(&model->stiffness, x, y, exec);
+    if (model->smooth) sfemi_smooth_multiply(model->smooth, model->smooth->lambda, model->mesh.nodes, x, y);
+    else sfem_matrix_multiply(&model->stiffness, x, y, exec);
 }
 
 /* y += scale M x. */
@@ -17864,7 +19349,7 @@ SFEM_DEF void sfem_model_multiply_damping(const sfem_model *model, const sfem_re
     SFEM_ASSERT(model && x && y);
     const size_t n = 3 * (size_t)model->mesh.nodes;
     size_t i;
-    sfem_matrix_multiply(&model->stiffness, x, y, exec);
+    sfem_model_multiply_stiffness(model, x, y, exec);
     for (i = 0; i < n; ++i) y[i] *= model->beta;
     sfemi_fem_add_mass(model, model->alpha, x, y);
     sfemi_fem_add_damping_rest(model, x, y);
@@ -17876,6 +19361,7 @@ SFEM_DEF void sfem_model_multiply_damping(const sfem_model *model, const sfem_re
 typedef struct sfemi_forces {
     const sfem_real *u;       /* [nodes][3] displacements, m */
     sfem_precision precision; /* of the kernels */
+    int soft;                 /* smooth tets: with the lambda of steps, see SFEMI_SMOOTH_POISSON */
     sfem_real *force;         /* [nodes][3] N, never NULL */
     sfem_real *rotation;      /* [tets][9] */
     sfem_real *sum;           /* [nodes][9] the tets' rotations times their weights, added up by nodes; with */
@@ -17963,8 +19449,55 @@ SFEM_DEF size_t sfem_model_work_size(const sfem_model *model)
 {
     SFEM_ASSERT(model);
     const sfemi_chunks *c = &model->chunks;
+    if (model->smooth) return sfemi_smooth_work_size(model->smooth, model->mesh.nodes);
     return 4 * (size_t)c->copies + 2 * (size_t)c->count + 4 * (size_t)c->most * (size_t)sfemi_forces_tasks(c);
 }
+
+#ifndef SFEM_NO_SMOOTH
+/* The tets' own rotations, and how many are inverted, of smooth tets: where the caller looks, a step does not. */
+static void sfemi_fem_smooth_tets(const sfem_model *model, const sfemi_forces *ask)
+{
+    sfem_int e, turned = 0;
+    for (e = 0; e < model->mesh.tets && (ask->rotation || ask->inverted); ++e) {
+        const sfem_int *t = model->mesh.tet + 4 * (size_t)e;
+        const sfem_real *u = ask->u;
+        sfem_real g[4][3], f[9], c[9];
+        int i;
+        sfemi_element_gradients(&model->mesh, e, g);
+        sfemi_element_deform(u + 3 * (size_t)t[0], u + 3 * (size_t)t[1], u + 3 * (size_t)t[2], u + 3 * (size_t)t[3],
+                             g, f);
+        for (i = 0; i < 9; i += 4) f[i] += 1;
+        sfemi_cofactor3(f, c);
+        turned += sfemi_dot3(f, c) <= 0;
+        if (!ask->rotation) continue;
+        if (model->law[e] != SFEM_LINEAR) sfemi_element_rotation(f, SFEMI_TINY_F, ask->rotation + 9 * (size_t)e);
+        else
+            for (i = 0; i < 9; ++i) ask->rotation[9 * (size_t)e + (size_t)i] = i % 4 == 0;
+    }
+    if (ask->inverted) *ask->inverted = turned;
+}
+
+static sfem_real sfemi_fem_smooth_forces(const sfem_model *model, const sfemi_forces *ask)
+{
+    sfemi_smooth_forces job;
+    memset(&job, 0, sizeof job);
+    job.smooth = model->smooth;
+    job.lambda = ask->soft ? model->smooth->soft : model->smooth->lambda;
+    job.u = ask->u;
+    job.force = ask->force;
+    job.sum = ask->sum;
+    job.nodes = model->mesh.nodes;
+    job.stiffest = model->stiffest;
+    sfemi_fem_smooth_tets(model, ask);
+    return sfemi_smooth_run(&job, ask->precision, ask->work, ask->exec);
+}
+#else
+static sfem_real sfemi_fem_smooth_forces(const sfem_model *model, const sfemi_forces *ask)
+{
+    (void)model, (void)ask;
+    return 0;
+}
+#endif
 
 /* Energy and internal force of the elements of `block`: the model's, or a body's own copy in which tets that it treats
  * otherwise are masked. */
@@ -17974,6 +19507,7 @@ static sfem_real sfemi_fem_forces(const sfem_model *model, const sfemi_block *bl
     sfem_real energy = 0, turned = 0;
     sfemi_forces_job job;
     sfem_int k;
+    if (model->smooth) return sfemi_fem_smooth_forces(model, ask);
     job.ask = ask;
     job.model = model;
     job.block = block;
@@ -18068,6 +19602,10 @@ static void sfemi_fem_tangent(const sfem_model *model, const sfemi_block *block,
     sfemi_tangents job;
     sfem_int n;
     SFEM_ASSERT(u && tangent && tangent->n == model->mesh.nodes);
+    if (model->smooth && tangent->row[tangent->n] != model->row[tangent->n]) {
+        sfemi_smooth_assemble(model->smooth, u, kind, tangent);
+        return;
+    }
     SFEM_ASSERT(tangent->row[tangent->n] == model->row[tangent->n]);
     job.model = model;
     job.block = block;
@@ -18080,6 +19618,7 @@ static void sfemi_fem_tangent(const sfem_model *model, const sfemi_block *block,
         job.chunk = c->color_chunk + c->color_start[n];
         sfemi_run(exec, c->color_start[n + 1] - c->color_start[n], sfemi_tangents_chunk, &job);
     }
+    if (model->smooth) sfemi_smooth_add_patches(model->smooth, u, kind, tangent);
 }
 
 SFEM_DEF void sfem_model_tangent(const sfem_model *model, const sfem_real *u, sfem_tangent kind,
@@ -18089,22 +19628,99 @@ SFEM_DEF void sfem_model_tangent(const sfem_model *model, const sfem_real *u, sf
     sfemi_fem_tangent(model, model->chunks.block, u, kind, tangent, exec);
 }
 
-/* P F^T / J of a tet. */
-static void sfemi_fem_cauchy(const sfem_model *model, sfem_int e, sfem_real g[4][3], const sfem_real *u,
-                             sfem_real s[6])
+/* P F^T / J. */
+static void sfemi_fem_cauchy_of(sfem_law law, sfem_real lambda, sfem_real mu, const sfem_real f[9], sfem_real s[6])
 {
     static const int row[6] = {0, 1, 2, 0, 1, 0}, col[6] = {0, 1, 2, 1, 2, 2};
-    const sfem_int *t = model->mesh.tet + 4 * (size_t)e;
-    sfem_real f[9], p[9], n[3], j;
-    int a, i, k;
-    for (i = 0; i < 9; ++i)
-        for (f[i] = i % 4 == 0, a = 0; a < 4; ++a) f[i] += u[3 * (size_t)t[a] + (size_t)(i / 3)] * g[a][i % 3];
-    (void)sfem_law_stress((sfem_law)model->law[e], model->lambda[e], model->mu[e], f, p);
+    sfem_real p[9], n[3], j;
+    int k;
+    (void)sfem_law_stress(law, lambda, mu, f, p);
     sfemi_cross(f, f + 3, n);
     j = sfemi_dot3(n, f + 6);
     for (k = 0; k < 6; ++k)
         s[k] = sfemi_dot3(p + 3 * row[k], f + 3 * col[k]) / fmax(j, 0.1);
 }
+
+/* The same of a tet. */
+static void sfemi_fem_cauchy(const sfem_model *model, sfem_int e, sfem_real g[4][3], const sfem_real *u,
+                             sfem_real s[6])
+{
+    const sfem_int *t = model->mesh.tet + 4 * (size_t)e;
+    sfem_real f[9];
+    int a, i;
+    for (i = 0; i < 9; ++i)
+        for (f[i] = i % 4 == 0, a = 0; a < 4; ++a) f[i] += u[3 * (size_t)t[a] + (size_t)(i / 3)] * g[a][i % 3];
+    sfemi_fem_cauchy_of((sfem_law)model->law[e], model->lambda[e], model->mu[e], f, s);
+}
+
+#ifndef SFEM_NO_SMOOTH
+/* s += weight times the stress that Lame's parameters make of the gradient of cell c. */
+static void sfemi_fem_add_cell_stress(const sfem_model *model, sfem_int c, const sfem_real *u, sfem_real lambda,
+                                      sfem_real mu, sfem_real weight, sfem_real s[6])
+{
+    const int law = model->smooth->law[c / SFEMI_LANES];
+    sfem_real f[9], own[6];
+    int k;
+    sfemi_smooth_gradient(model->smooth, c, u, f, 1);
+    if (law == SFEM_LINEAR) {
+        const sfem_real strain[6] = {f[0], f[4], f[8], f[1] + f[3], f[5] + f[7], f[2] + f[6]};
+        sfemi_element_hooke(lambda, mu, strain, own);
+    } else {
+        for (k = 0; k < 9; k += 4) f[k] += 1;
+        sfemi_fem_cauchy_of((sfem_law)law, lambda, mu, f, own);
+    }
+    for (k = 0; k < 6; ++k) s[k] += weight * own[k];
+}
+
+/* Of a smooth tet: the mean of its nodes' shear stresses, and the volume part of its patch. */
+static void sfemi_fem_smooth_stress(const sfem_model *model, sfem_int e, const sfem_real *u, sfem_real s[6])
+{
+    const sfem_int *cell = model->smooth->tet_cell + 5 * (size_t)e;
+    int a;
+    memset(s, 0, 6 * sizeof *s);
+    for (a = 0; a < 4; ++a) sfemi_fem_add_cell_stress(model, cell[a], u, 0, model->mu[e], 0.25, s);
+    sfemi_fem_add_cell_stress(model, cell[4], u, model->lambda[e], 0, 1, s);
+}
+
+SFEM_DEF void sfem_model_smooth_stress(const sfem_model *model, const sfem_real *u, sfem_real *node_stress,
+                                       sfem_real *pressure)
+{
+    SFEM_ASSERT(model && u && model->smooth);
+    const sfemi_smooth *smooth = model->smooth;
+    sfem_int e, c, i, k;
+    int a, j;
+    for (e = 0; pressure && e < model->mesh.tets; ++e) {
+        sfem_real s[6] = {0, 0, 0, 0, 0, 0};
+        sfemi_fem_add_cell_stress(model, smooth->tet_cell[5 * e + 4], u, model->lambda[e], model->mu[e], 1, s);
+        pressure[smooth->patch[e]] = -(s[0] + s[1] + s[2]) / 3;
+    }
+    if (!node_stress) return;
+    memset(node_stress, 0, 6 * (size_t)model->mesh.nodes * sizeof *node_stress);
+    for (c = 0; c < smooth->star_groups * SFEMI_LANES; ++c)
+        if (smooth->start[c] < smooth->start[c + 1])
+            sfemi_fem_add_cell_stress(model, c, u, 0, smooth->mu[c] / smooth->volume[c], smooth->volume[c],
+                                      node_stress + 6 * (size_t)smooth->node[smooth->start[c]]);
+    for (e = 0; e < model->mesh.tets; ++e) {
+        sfem_real s[6] = {0, 0, 0, 0, 0, 0};
+        sfemi_fem_add_cell_stress(model, smooth->tet_cell[5 * e + 4], u, model->lambda[e], 0, model->volume[e] / 4, s);
+        for (a = 0; a < 4; ++a)
+            for (j = 0; j < 6; ++j) node_stress[6 * (size_t)model->mesh.tet[4 * e + a] + (size_t)j] += s[j];
+    }
+    for (i = 0; i < model->mesh.nodes; ++i) {
+        sfem_real volume = 0;
+        for (k = smooth->in_start[i]; k < smooth->in_start[i + 1]; ++k) {
+            c = smooth->in_cell[k];
+            if (c < smooth->star_groups * SFEMI_LANES && sfemi_smooth_owns(smooth, c, i)) volume += smooth->volume[c];
+        }
+        for (j = 0; j < 6 && volume > 0; ++j) node_stress[6 * (size_t)i + (size_t)j] /= volume;
+    }
+}
+#else
+static void sfemi_fem_smooth_stress(const sfem_model *model, sfem_int e, const sfem_real *u, sfem_real s[6])
+{
+    (void)model, (void)e, (void)u, (void)s;
+}
+#endif
 
 SFEM_DEF void sfem_model_stress(const sfem_model *model, const sfem_real *u, sfem_real *stress,
                                 sfem_real *von_mises)
@@ -18113,8 +19729,10 @@ SFEM_DEF void sfem_model_stress(const sfem_model *model, const sfem_real *u, sfe
     sfem_int e;
     for (e = 0; e < model->mesh.tets; ++e) {
         sfem_real g[4][3], strain[6], s[6];
-        sfemi_element_gradients(&model->mesh, e, g);
-        if (model->law[e] == SFEM_LINEAR) {
+        if (!model->smooth) sfemi_element_gradients(&model->mesh, e, g);
+        if (model->smooth) {
+            sfemi_fem_smooth_stress(model, e, u, s);
+        } else if (model->law[e] == SFEM_LINEAR) {
             sfemi_element_strain(model->mesh.tet + 4 * (size_t)e, g, u, strain);
             sfemi_element_hooke(model->lambda[e], model->mu[e], strain, s);
         } else {
@@ -18135,6 +19753,7 @@ SFEM_DEF sfem_real sfem_model_elastic_energy(const sfem_model *model, const sfem
     sfem_real energy = 0;
     sfem_int e;
     int i;
+    if (model->smooth) return sfemi_smooth_energy(model->smooth, model->mesh.nodes, u);
     for (e = 0; e < model->mesh.tets; ++e) {
         sfem_real g[4][3], strain[6], s[6], density = 0;
         sfemi_element_gradients(&model->mesh, e, g);
@@ -20346,6 +21965,7 @@ static void sfemi_damage_total_tangent(const sfemi_damage *d, const sfem_real *u
 typedef struct sfemi_factor_key {
     sfem_real ck, cm, cd;
     int upper_bound; /* ck times the isotropic upper bound in place of K */
+    int exact;       /* smooth tets: K itself in place of K0 */
     const unsigned char *mask; /* [nodes] axes held */
     sfem_precision precision;
     sfem_ordering ordering;
@@ -20368,7 +21988,7 @@ struct sfem_factor {
 static int sfemi_factor_matches(const sfem_factor *f, const sfemi_factor_key *key, uint64_t hash)
 {
     return f->key.ck == key->ck && f->key.cm == key->cm && f->key.cd == key->cd &&
-           f->key.upper_bound == key->upper_bound && f->key.precision == key->precision &&
+           f->key.upper_bound == key->upper_bound && f->key.exact == key->exact && f->key.precision == key->precision &&
            f->key.ordering == key->ordering && f->hash == hash;
 }
 
@@ -20495,9 +22115,13 @@ done:
 static void sfemi_factor_block(const sfem_model *model, const sfem_factor *f, const sfem_real *upper_bound,
                                sfem_int at, sfem_int i, sfem_real b[9])
 {
-    const sfem_int j = model->col[at];
+    const sfem_matrix *k = f->key.exact ? sfemi_fem_exact(model) : &model->stiffness;
+    const sfem_int j = k->col[at], narrow = f->key.exact ? sfemi_fem_narrow(model, at, i, j) : at;
     int r, c;
-    sfemi_fem_block(model, at, i, upper_bound ? 0 : f->key.ck, f->key.cm, f->key.cd, b);
+    memset(b, 0, 9 * sizeof *b);
+    if (narrow >= 0)
+        sfemi_fem_block(model, narrow, i, upper_bound || f->key.exact ? 0 : f->key.ck, f->key.cm, f->key.cd, b);
+    for (r = 0; f->key.exact && r < 9; ++r) b[r] += f->key.ck * k->val[9 * (size_t)at + (size_t)r];
     for (r = 0; upper_bound && r < 9; r += 4) b[r] += f->key.ck * upper_bound[at];
     for (r = 0; r < 3; ++r)
         for (c = 0; c < 3; ++c)
@@ -20509,6 +22133,7 @@ static sfem_status sfemi_factor_matrix(const sfem_model *model, const sfem_facto
                                        sfem_error *err)
 {
     const sfem_allocator *al = &model->allocator;
+    const sfem_matrix *p = f->key.exact ? sfemi_fem_exact(model) : &model->stiffness;
     sfem_int *number = NULL, *row = NULL, *col = NULL, k, at, blocks = 0;
     sfem_real *upper_bound = NULL, block[9];
     sfem_matrix a;
@@ -20518,14 +22143,14 @@ static sfem_status sfemi_factor_matrix(const sfem_model *model, const sfem_facto
     SFEMI_NEW(sfem_int, number, al, model->mesh.nodes); /* 1 + its row, 0: not free */
     for (k = 0; k < f->free_nodes; ++k) number[f->node[k]] = k + 1;
     for (k = 0; k < f->free_nodes; ++k)
-        for (at = model->row[f->node[k]]; at < model->row[f->node[k] + 1]; ++at)
-            blocks += number[model->col[at]] > 0;
+        for (at = p->row[f->node[k]]; at < p->row[f->node[k] + 1]; ++at)
+            blocks += number[p->col[at]] > 0;
     SFEMI_TRY(sfemi_fem_new_matrix(f->free_nodes, (size_t)blocks, f->scalar ? 1 : 9, al, &row, &col, &a, err));
     blocks = 0;
     for (k = 0; k < f->free_nodes; ++k) {
-        for (at = model->row[f->node[k]]; at < model->row[f->node[k] + 1]; ++at) {
-            if (number[model->col[at]] == 0) continue;
-            col[blocks] = number[model->col[at]] - 1;
+        for (at = p->row[f->node[k]]; at < p->row[f->node[k] + 1]; ++at) {
+            if (number[p->col[at]] == 0) continue;
+            col[blocks] = number[p->col[at]] - 1;
             sfemi_factor_block(model, f, upper_bound, at, f->node[k], block);
             if (f->scalar) a.val[blocks++] = block[0];
             else memcpy(a.val + 9 * (size_t)blocks++, block, sizeof block);
@@ -20594,6 +22219,7 @@ static sfem_status sfemi_factor_make(sfem_model *model, const sfemi_factor_key *
     sfem_status status = SFEM_OK;
     sfem_int i, k = 0;
     int c;
+    if (key->exact) SFEMI_TRY(sfemi_fem_widen(model, err));
     SFEMI_NEW(sfem_factor, f, al, 1);
     SFEMI_NEW(unsigned char, f->mask, al, nodes);
     memcpy(f->mask, key->mask, nodes);
@@ -21331,6 +22957,7 @@ static sfem_status sfemi_system_open(sfem_body *b, const sfemi_factor_key *key, 
                                      sfem_error *err)
 {
     const sfem_model *model = b->model;
+    const sfem_matrix *p;
     sfemi_system s;
     sfem_status status = SFEM_OK;
     sfem_int k, at, count = 0;
@@ -21338,10 +22965,11 @@ static sfem_status sfemi_system_open(sfem_body *b, const sfemi_factor_key *key, 
     SFEMI_TRY(sfemi_factor_make(b->model, key, &b->exec, &s.factor, err));
     ++b->factors_made;
     SFEMI_TRY(sfemi_factor_matrix(model, s.factor, &s.matrix, err));
+    p = key->exact ? sfemi_fem_exact(model) : &model->stiffness;
     SFEMI_NEW(sfem_int, s.source, &model->allocator, (size_t)s.matrix.row[s.matrix.n] + 1);
     for (k = 0; k < s.factor->free_nodes; ++k)
-        for (at = model->row[s.factor->node[k]]; at < model->row[s.factor->node[k] + 1]; ++at)
-            if (s.factor->mask[model->col[at]] != SFEM_AXIS_ALL) s.source[count++] = at;
+        for (at = p->row[s.factor->node[k]]; at < p->row[s.factor->node[k] + 1]; ++at)
+            if (s.factor->mask[p->col[at]] != SFEM_AXIS_ALL) s.source[count++] = at;
     *out = s;
     return SFEM_OK;
 done:
@@ -21799,7 +23427,7 @@ static void sfemi_body_residual(sfem_body *b, const sfem_real load[3], int with_
 {
     const sfem_model *model = b->model;
     size_t i;
-    sfem_matrix_multiply(&model->stiffness, b->zk, b->rhs, &b->exec);
+    sfem_model_multiply_stiffness(model, b->zk, b->rhs, &b->exec);
     sfemi_body_take_from_load(b, load, b->rhs, b->rhs);
     if (with_mass) sfemi_fem_add_mass(model, -1, b->zm, b->rhs);
     if (model->damping) {
@@ -22162,7 +23790,7 @@ static sfem_real sfemi_implicit_forces(sfem_body *b, const sfem_real *u, sfem_re
     size_t i;
     if (!sfemi_implicit_linear(b->model))
         return sfem_model_forces(b->model, u, SFEM_DOUBLE, f, NULL, NULL, b->implicit.work, &b->exec);
-    sfem_matrix_multiply(&b->model->stiffness, u, f, &b->exec);
+    sfem_model_multiply_stiffness(b->model, u, f, &b->exec);
     for (i = 0; i < n; ++i) energy += u[i] * f[i];
     return energy / 2;
 }
@@ -22184,16 +23812,18 @@ static int sfemi_implicit_damped(const sfem_body *b)
 static sfem_status sfemi_implicit_reserve(sfem_body *b, sfem_error *err)
 {
     const sfem_model *model = b->model;
-    const size_t values = 9 * (size_t)model->row[model->mesh.nodes];
     sfemi_implicit *m = &b->implicit;
     sfem_real *tangent = NULL, *drag = NULL;
     sfem_status status = SFEM_OK;
+    size_t values;
     if (m->ready) return SFEM_OK;
+    SFEMI_TRY(sfemi_fem_widen(b->model, err));
+    values = 9 * (size_t)sfemi_fem_exact(model)->row[model->mesh.nodes];
     if (!sfemi_implicit_linear(model)) SFEMI_NEW(sfem_real, tangent, &b->allocator, values);
     if (b->def.damping_force.tangent) SFEMI_NEW(sfem_real, drag, &b->allocator, values);
     m->ready = 1;
     SFEMI_TRY(sfemi_workspace_reserve(b, err));
-    m->tangent = m->drag = model->stiffness;
+    m->tangent = m->drag = *sfemi_fem_exact(model);
     if (tangent) m->tangent.val = tangent;
     m->drag.val = drag;
     return SFEM_OK;
@@ -22209,7 +23839,7 @@ static void sfemi_implicit_destroy(sfem_body *b)
     sfemi_implicit *m = &b->implicit;
     sfemi_system_close(b, &m->system);
     sfemi_factor_release(b->model, m->second);
-    if (m->ready && m->tangent.val != b->model->stiffness.val)
+    if (m->ready && m->tangent.val != sfemi_fem_exact(b->model)->val)
         sfemi_delete(&b->allocator, m->tangent.val);
     sfemi_delete(&b->allocator, m->drag.val);
 }
@@ -22217,10 +23847,11 @@ static void sfemi_implicit_destroy(sfem_body *b)
 static size_t sfemi_implicit_bytes(const sfem_body *b)
 {
     const sfemi_implicit *m = &b->implicit;
-    const size_t values = 9 * (size_t)b->model->row[b->model->mesh.nodes];
     size_t reals = 0;
     if (m->ready) {
-        if (m->tangent.val != b->model->stiffness.val) reals += values;
+        const sfem_matrix *k = sfemi_fem_exact(b->model);
+        const size_t values = 9 * (size_t)k->row[k->n];
+        if (m->tangent.val != k->val) reals += values;
         if (m->drag.val) reals += values;
     }
     if (m->system.matrix.val) reals += 9 * (size_t)m->system.matrix.row[m->system.matrix.n];
@@ -22279,6 +23910,7 @@ static sfemi_factor_key sfemi_implicit_key(const sfem_body *b, int k, sfem_real 
     key.ck = s.w1 * (1 + s.c1 * b->beta);
     key.cm = s.m1 * s.c2 + s.w1 * s.c1 * b->alpha;
     key.cd = b->model->damping ? s.w1 * s.c1 : 0;
+    key.exact = b->model->smooth != NULL;
     key.mask = b->mask;
     key.precision = b->def.precision;
     key.ordering = b->def.ordering;
@@ -22595,7 +24227,8 @@ static sfem_status sfemi_newton_factor(sfem_body *b, sfemi_newton *t, sfem_tange
     const sfemi_stage *s = &m->stage;
     const sfem_model *model = b->model;
     const sfemi_system *y = t->system;
-    const size_t values = 9 * (size_t)model->row[model->mesh.nodes];
+    const sfem_matrix *p = sfemi_fem_exact(model);
+    const size_t values = 9 * (size_t)p->row[p->n];
     sfem_int k, at = 0;
     sfem_error place;
     sfem_status status;
@@ -22611,9 +24244,10 @@ static sfem_status sfemi_newton_factor(sfem_body *b, sfemi_newton *t, sfem_tange
         const sfem_int i = y->factor->node[k];
         for (; at < y->matrix.row[k + 1]; ++at) {
             const size_t from = 9 * (size_t)y->source[at];
-            const sfem_int j = model->col[y->source[at]];
+            const sfem_int j = p->col[y->source[at]], narrow = sfemi_fem_narrow(model, y->source[at], i, j);
             const int held = y->factor->mask[i] | y->factor->mask[j];
-            const sfem_real mass = model->block_mass ? model->block_mass[y->source[at]]
+            const sfem_real mass = narrow < 0          ? 0
+                                   : model->block_mass ? model->block_mass[narrow]
                                    : i == j       ? model->node_mass[i]
                                                   : 0;
             const sfem_real ck = s->w1 * (1 + s->c1 * b->beta), cd = s->w1 * s->c1;
@@ -22621,15 +24255,15 @@ static sfem_status sfemi_newton_factor(sfem_body *b, sfemi_newton *t, sfem_tange
             sfem_real *to = y->matrix.val + 9 * (size_t)at;
             for (c = 0; c < 9; ++c) to[c] = ck * m->tangent.val[from + (size_t)c];
             for (c = 0; c < 9; c += 4) to[c] += cm;
-            if (model->damping && cd != 0)
-                for (c = 0; c < 9; ++c) to[c] += cd * model->damping[from + (size_t)c];
+            if (model->damping && cd != 0 && narrow >= 0)
+                for (c = 0; c < 9; ++c) to[c] += cd * model->damping[9 * (size_t)narrow + (size_t)c];
             if (m->drag.val && cd != 0)
                 for (c = 0; c < 9; ++c) to[c] += cd * m->drag.val[from + (size_t)c];
             for (r = 0; held && r < 3; ++r)
                 for (c = 0; c < 3; ++c) {
                     if (!(y->factor->mask[i] >> r & 1) && !(y->factor->mask[j] >> c & 1)) continue;
                     if (i != j || r != c) to[3 * r + c] = 0;
-                    else to[3 * r + c] = model->stiffness.val[from + (size_t)(4 * r)];
+                    else to[3 * r + c] = p->val[from + (size_t)(4 * r)];
                 }
         }
     }
@@ -23277,6 +24911,8 @@ static void sfemi_pqr_predict(sfem_body *b)
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     const int damped = b->alpha != 0 || b->beta != 0 || b->zd != NULL;
     const sfem_real *base = sfemi_pqr_base(b), *w = sfemi_body_way(b);
+    /* smooth tets: what A's K0 is applied to, which is not what K is; without a factor of K itself */
+    sfem_real *own = b->model->smooth && !b->scheme.newmark ? b->spare : b->zk;
     int with_mass, c;
     sfem_int j;
     size_t i;
@@ -23287,6 +24923,10 @@ static void sfemi_pqr_predict(sfem_body *b)
     for (i = 0; i < n; ++i) {
         const sfem_real dv = damped ? t.cd * w[i] - t.ca * s->a[i] : 0;
         b->zk[i] = s->u[i] - t.ck * w[i] + t.cka * s->a[i] + b->beta * dv;
+        if (own != b->zk) {
+            own[i] = -t.ck * w[i];
+            b->zk[i] = s->u[i] + b->beta * dv;
+        }
         b->zm[i] = b->alpha * dv + t.am * s->a[i];
         if (b->zd) b->zd[i] = dv;
         b->acc[i] = 0;
@@ -23298,13 +24938,16 @@ static void sfemi_pqr_predict(sfem_body *b)
             if (!(b->mask[b->pin[j]] >> c & 1)) continue;
             a = (1 - t.am) * ((s->pin[j].target[c] - b->model->mesh.x[i] - s->u[i]) / h - base[i]) / t.d;
             b->acc[i] = a;
-            b->zk[i] += (b->p * h + b->scheme.q / 2 * b->beta) * h * a;
+            own[i] += (b->p * h + b->scheme.q / 2 * b->beta) * h * a;
             b->zm[i] += (b->scheme.r + b->scheme.q / 2 * h * b->alpha) * a;
             if (b->zd) b->zd[i] += b->scheme.q / 2 * h * a;
             with_mass |= b->model->block_mass != NULL && a != 0;
         }
     }
     sfemi_body_residual(b, t.load, with_mass);
+    if (own == b->zk) return;
+    sfem_matrix_multiply(&b->model->stiffness, own, own + n, &b->exec);
+    for (i = 0; i < n; ++i) b->rhs[i] -= own[n + i];
 }
 
 static void sfemi_pqr_solve(sfem_body *b)
@@ -24038,8 +25681,19 @@ static void sfemi_rotated_frames(sfem_body *b, sfem_real *frame)
     sfemi_rotated_share_frames(b, frame);
 }
 
-/* y += P^T Q (K_frac - K) Q^T P z in the frames of the state: what breaks take from damping by K. z is
- * overwritten. */
+/* sum = (K - what stands for it in A) z of smooth tets. */
+static void sfemi_fracture_smooth(sfem_body *b, const sfem_real *z, sfem_real *sum)
+{
+    const sfem_model *model = b->model;
+    sfem_real *kz = b->safeguard.trial_f;
+    size_t i;
+    sfemi_smooth_multiply(model->smooth, model->smooth->soft, model->mesh.nodes, z, sum);
+    sfem_matrix_multiply(b->refactor.live ? b->refactor.k + b->refactor.live - 1 : &model->stiffness, z, kz, &b->exec);
+    for (i = 0; i < 3 * (size_t)model->mesh.nodes; ++i) sum[i] -= kz[i];
+}
+
+/* y += P^T Q (K_frac - K) Q^T P z in the frames of the state: what breaks take from damping by K, or what smooth tets
+ * have less than A. z is overwritten. */
 static void sfemi_fracture_soften(sfem_body *b, sfem_real *z, sfem_real *y)
 {
     const sfem_int nodes = b->model->mesh.nodes;
@@ -24047,15 +25701,16 @@ static void sfemi_fracture_soften(sfem_body *b, sfem_real *z, sfem_real *y)
     const int projects = sfemi_rotated_projects(b);
     sfem_real *sum = b->rotated.v;
     size_t i;
-    if (!sfemi_damage_tets(b->damage)) return;
+    if (!b->model->smooth && !sfemi_damage_tets(b->damage)) return;
     if (projects) {
         sfemi_rotated_motion(b, u, z, 1);
         sfemi_rotated_add_motion(b, u, -1, 0, z);
     }
     sfemi_rotated_rotate(frame, nodes, 1, z, z);
     memset(sum, 0, 3 * (size_t)nodes * sizeof *sum);
-    sfemi_damage_multiply(b->damage, z, sum);
-    if (b->refactor.live) { /* what was left when the factor was made is out already */
+    if (b->model->smooth) sfemi_fracture_smooth(b, z, sum);
+    else sfemi_damage_multiply(b->damage, z, sum);
+    if (b->refactor.live && !b->model->smooth) { /* what was left when the factor was made is out already */
         sfem_real *kz = b->safeguard.trial_f;
         sfem_matrix_multiply(&b->model->stiffness, z, kz, &b->exec);
         for (i = 0; i < 3 * (size_t)nodes; ++i) sum[i] += kz[i];
@@ -24127,6 +25782,7 @@ done:
 /* Is what A holds of K another matrix than K? */
 static int sfemi_resume_bounded(const sfem_body *b)
 {
+    if (b->model->smooth && !b->scheme.newmark) return 1;
     return b->scheme.rotates && (sfemi_damage_tets(b->damage) > 0 || b->refactor.live || b->def.frame == SFEM_FRAME_ISOTROPIC);
 }
 
@@ -24219,12 +25875,14 @@ static void sfemi_resume_multiply(sfem_body *b, const sfemi_inertia *t, const sf
     size_t i;
     if (bounded && b->def.frame == SFEM_FRAME_ISOTROPIC) sfemi_factor_multiply_upper_bound(model, x, y);
     else if (own == 0) memset(y, 0, n * sizeof *y);
-    else sfem_matrix_multiply(bounded && b->refactor.live ? b->refactor.k + b->refactor.live - 1 : &model->stiffness,
-                              x, y, &b->exec);
+    else if (bounded)
+        sfem_matrix_multiply(b->refactor.live ? b->refactor.k + b->refactor.live - 1 : &model->stiffness, x, y,
+                             &b->exec);
+    else sfem_model_multiply_stiffness(model, x, y, &b->exec);
     for (i = 0; i < n; ++i) y[i] *= own;
     if (bounded) {
-        sfem_matrix_multiply(&model->stiffness, x, z, &b->exec);
-        sfemi_damage_multiply(b->damage, x, z);
+        sfem_model_multiply_stiffness(model, x, z, &b->exec);
+        if (b->damage) sfemi_damage_multiply(b->damage, x, z);
         for (i = 0; i < n; ++i) y[i] += t->k * z[i];
     }
     sfemi_fem_add_mass(model, t->m, x, y);
@@ -24703,7 +26361,7 @@ static void sfemi_resume_bridge_correct(sfem_body *b, sfem_real *a)
     size_t i;
     sfemi_resume_bridge_constrain(b, a);
     if (c != 0 && (b->alpha != 0 || b->beta != 0 || b->zd)) {
-        sfem_matrix_multiply(&model->stiffness, a, x, &b->exec);
+        sfem_model_multiply_stiffness(model, a, x, &b->exec);
         for (i = 0; i < n; ++i) x[i] *= c * b->beta;
         sfemi_fem_add_mass(model, c * b->alpha, a, x);
         for (i = 0; b->zd && i < n; ++i) y[i] = c * a[i];
@@ -24862,6 +26520,7 @@ static sfem_real sfemi_safeguard_forces(sfem_body *b, const sfem_real *u, sfem_r
     memset(&ask, 0, sizeof ask);
     ask.u = u;
     ask.precision = b->def.precision;
+    ask.soft = 1;
     ask.force = f;
     ask.work = b->rotated.work;
     ask.exec = &b->exec;
@@ -25188,7 +26847,7 @@ static void sfemi_safeguard_predict(sfem_body *b)
             }
         sfemi_rotated_stiffness(b, s->u, s->frame, b->zk, b->zd, b->rhs);
         for (i = 0; i < n; ++i) b->rhs[i] += force[i];
-        for (i = 0; b->damage && i < n; ++i) b->zk[i] = b->beta * t.cd * s->w[i];
+        for (i = 0; (b->damage || model->smooth) && i < n; ++i) b->zk[i] = b->beta * t.cd * s->w[i];
         if (b->beta != 0) sfemi_fracture_soften(b, b->zk, b->rhs);
     } else {
         memcpy(b->rhs, force, n * sizeof *b->rhs);
@@ -25474,7 +27133,7 @@ static void sfemi_correct_add_damping(sfem_body *b, const sfemi_equation *q, con
         if (b->zd) b->zd[i] = v;
     }
     sfemi_rotated_stiffness(b, b->state.u, b->state.frame, b->zk, b->zd, force);
-    if (b->damage && b->beta != 0) {
+    if ((b->damage || b->model->smooth) && b->beta != 0) {
         for (i = 0; i < n; ++i) b->zk[i] = b->beta * (q->before * w[i] + q->after * w1[i]);
         sfemi_fracture_soften(b, b->zk, force);
     }
@@ -27059,6 +28718,7 @@ static double sfemi_refactor_tangent(sfem_body *b)
     chunk = job.chunk[r->next];
     sfemi_tangents_chunk(&job, r->next);
     if (++r->next == c->count) {
+        if (b->model->smooth) sfemi_smooth_add_patches(b->model->smooth, r->u, job.kind, r->k + (r->live == 1));
         r->stage = SFEMI_REFACTOR_TURN;
         r->next = 0;
     }
@@ -27404,6 +29064,10 @@ static void sfemi_linear_conserved(sfem_body *b, sfem_energy *e)
     for (i = 0; i < n; ++i)
         load_w += s->w[i] * (force[i] + model->node_mass[i / 3] * s->head->gravity[i % 3]);
     /* with u- = u - h w: (E + E-)/2 = E - h/2 u.Kw + h^2/4 w.Kw and (u-u-).(f-f-) = h^2 w.Kw */
+    if (model->smooth) { /* A has K0 */
+        sfem_matrix_multiply(&model->stiffness, s->w, b->zk, &b->exec);
+        wkw = sfemi_dot(n, s->w, b->zk);
+    }
     e->conserved = b->scheme.r / 2 * sfemi_dot(n, s->w, b->zm) + b->p * h * h / 2 * wkw + e->elastic -
                    h / 2 * sfemi_dot(n, s->u, b->rhs) + e->load + h / 2 * load_w;
 }
@@ -27857,6 +29521,22 @@ done:
     return status;
 }
 
+/* What bodies of smooth tets cannot do. */
+static sfem_status sfemi_body_check_smooth(const sfem_body *b, const sfem_body_def *def, sfem_error *err)
+{
+    if (!b->model->smooth) return SFEM_OK;
+    if (def->damage)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "bodies of smooth tets cannot break yet: take SFEM_TET_LINEAR");
+    if (b->scheme.lagging)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT,
+                          "KR-alpha needs the exact K in its factor, which smooth tets do not have: take SFEM_PQR, "
+                          "whose def.dissipation damps fast modes, or SFEM_GENERALIZED_ALPHA");
+    if (def->damping_force.tangent)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT,
+                          "with smooth tets a damping force has no tangent: its pattern is not that of the factor");
+    return SFEM_OK;
+}
+
 SFEM_DEF sfem_status sfem_body_create(sfem_model *model, const sfem_body_def *def, sfem_body **out,
                                       sfem_error *err)
 {
@@ -27887,6 +29567,7 @@ SFEM_DEF sfem_status sfem_body_create(sfem_model *model, const sfem_body_def *de
         status = sfemi_fail(err, SFEM_BAD_ARGUMENT, "a body that breaks steps by SFEM_PQR or SFEM_CENTRAL");
         goto done;
     }
+    SFEMI_TRY(sfemi_body_check_smooth(b, def, err));
     if (def->damage && model->block_mass) {
         status = sfemi_fail(err, SFEM_BAD_ARGUMENT, "a body that breaks steps with lumped mass only");
         goto done;
@@ -27981,7 +29662,7 @@ static sfem_status sfemi_body_choose_p(sfem_body *b, sfem_real h, sfem_real *p, 
         return SFEM_OK;
     }
     *p = b->scheme.newmark ? b->def.beta : b->scheme.central ? 0 : b->def.p;
-    if (*p == SFEM_P_AUTO && !b->model->rotates && b->omega_max * h < 2) *p = 1.0 / 12;
+    if (*p == SFEM_P_AUTO && !b->model->rotates && !b->model->smooth && b->omega_max * h < 2) *p = 1.0 / 12;
     if (*p < 0) {
         *p = b->scheme.rotates == SFEMI_CORRECTS ? sfemi_safeguard_weight(b) : b->model->margin;
         *p = fmax(*p, sfemi_fracture_least_p(b));
@@ -28053,6 +29734,7 @@ SFEM_DEF sfem_status sfem_body_prepare(sfem_body *b, sfem_real h, sfem_error *er
         key.cd = b->model->damping ? b->scheme.q / 2 * h : 0;
         key.mask = b->mask;
         key.upper_bound = b->scheme.rotates && b->def.frame == SFEM_FRAME_ISOTROPIC;
+        key.exact = b->model->smooth && b->scheme.newmark; /* one solve is all there is */
         key.precision = b->def.precision;
         key.ordering = b->def.ordering;
         status = sfemi_factor_get(b->model, &key, &b->exec, &f, &b->factors_made, err);
@@ -28962,6 +30644,9 @@ SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *b)
     info.solves = b->state.head->solves;
     info.evaluations = b->state.head->evaluations;
     info.corrections = b->safeguard.corrections;
+    for (i = 0; i < info.tets; ++i)
+        info.poisson = fmax(info.poisson, b->model->lambda[i] / (2 * (b->model->lambda[i] + b->model->mu[i])));
+    if (b->model->smooth && b->scheme.rotates) info.poisson = b->model->smooth->poisson;
     info.body_bytes = (size_t)b->state.head->saved.size + sizeof *b + sfem_workspace_bytes(&b->own) +
                       (size_t)info.nodes * sizeof *b->mask + (size_t)b->pin_count * sizeof *b->pin;
     info.body_bytes += (size_t)b->def.max_handles * ((12 * (size_t)b->def.max_handles + 6) * sizeof(sfem_real) +
@@ -32836,6 +34521,10 @@ SFEM_DEF void sfem_body_fragment_positions(sfem_body *b, const sfem_fragments *f
  * Newton's iteration by load steps, of >>implicit. The body then rests at u; where that fails it is as it was.
  * ============================================================================================ */
 
+/* Conjugate gradients on smooth tets: 20 to 30 iterations to 1e-8 are the rule; this many only where nothing
+ * converges. */
+#define SFEMI_STATIC_CG 300
+
 /* Is the handle a constraint on one node alone? */
 static int sfemi_body_is_node_handle(const sfem_body *b, sfem_int handle)
 {
@@ -33144,6 +34833,62 @@ static void sfemi_body_name_freedom(const sfem_body *b, const unsigned char *mas
     sfemi_delete(&b->allocator, label);
 }
 
+/* K x = rhs on the free axes, from x = 0 there, by conjugate gradients with the factor of K0 <= K / a: smooth tets. rhs
+ * and zm are overwritten. */
+static sfem_status sfemi_body_static_cg(sfem_body *b, const sfem_factor *f, sfem_real *x, sfem_error *err)
+{
+    const sfem_int nodes = b->model->mesh.nodes;
+    const size_t n = 3 * (size_t)nodes;
+    sfem_newton_info *info = &b->implicit.info;
+    sfem_real *r = b->rhs, *z = b->zm, *p = NULL, *kp = NULL, rz = 0, first = 0, now = 0;
+    sfem_status status = SFEM_OK;
+    size_t i;
+    memset(info, 0, sizeof *info);
+    SFEMI_NEW(sfem_real, p, &b->allocator, n);
+    SFEMI_NEW(sfem_real, kp, &b->allocator, n);
+    for (i = 0; i < n; ++i)
+        if (f->mask[i / 3] >> (i % 3) & 1) r[i] = 0;
+    first = now = sqrt(sfemi_dot(n, r, r));
+    memset(z, 0, n * sizeof *z);
+    while (now > b->def.newton.tolerance * first && info->iterations < SFEMI_STATIC_CG) {
+        sfem_real next, length;
+        sfemi_factor_solve(f, nodes, 1, r, z, b->workspace->work, &b->exec);
+        next = sfemi_dot(n, r, z);
+        for (i = 0; i < n; ++i) p[i] = z[i] + (info->iterations ? next / rz : 0) * p[i];
+        rz = next;
+        sfem_model_multiply_stiffness(b->model, p, kp, &b->exec);
+        length = rz / sfemi_dot(n, p, kp);
+        for (i = 0; i < n; ++i) {
+            x[i] += length * p[i];
+            r[i] = f->mask[i / 3] >> (i % 3) & 1 ? 0 : r[i] - length * kp[i];
+        }
+        now = sqrt(sfemi_dot(n, r, r));
+        ++info->iterations;
+        if (!sfemi_finite(now)) break;
+    }
+    info->residual = first > 0 ? now / first : 0;
+    info->converged = now <= b->def.newton.tolerance * first;
+    if (!info->converged)
+        status = sfemi_fail(err, sfemi_finite(now) ? SFEM_NOT_CONVERGED : SFEM_NOT_FINITE,
+                            "the static solution did not converge: residual %g after %d iterations", info->residual,
+                            (int)info->iterations);
+done:
+    sfemi_delete(&b->allocator, p);
+    sfemi_delete(&b->allocator, kp);
+    return status;
+}
+
+/* Does a static solution take the factor of K itself, not conjugate gradients? With handles between nodes, whose
+ * columns would each take as many iterations as the solution. */
+static int sfemi_body_static_exact(const sfem_body *b)
+{
+    sfem_int k;
+    if (!b->model->smooth || b->def.exact_statics) return b->model->smooth != NULL;
+    for (k = 0; k < b->def.max_handles; ++k)
+        if (b->state.handle[k].used && !sfemi_body_is_node_handle(b, k)) return 1;
+    return 0;
+}
+
 SFEM_DEF sfem_status sfem_body_solve_static(sfem_body *b, sfem_error *err)
 {
     const sfem_real load[3] = {1, 0, 0};
@@ -33167,6 +34912,7 @@ SFEM_DEF sfem_status sfem_body_solve_static(sfem_body *b, sfem_error *err)
     key.mask = mask;
     key.ordering = b->def.ordering;
     key.cm = sfemi_body_static_mass(b);
+    key.exact = b->model->smooth && (!sfemi_implicit_linear(b->model) || key.cm > 0 || sfemi_body_static_exact(b));
     if (!sfemi_implicit_linear(b->model) || key.cm > 0) {
         SFEMI_TRY(sfemi_body_static_newton(b, &key, err));
     } else {
@@ -33177,7 +34923,8 @@ SFEM_DEF sfem_status sfem_body_solve_static(sfem_body *b, sfem_error *err)
         memcpy(b->acc, b->zk, n * sizeof *b->acc);
         if (b->zd) memset(b->zd, 0, n * sizeof *b->zd);
         sfemi_body_residual(b, load, 0);
-        sfemi_factor_solve(f, b->model->mesh.nodes, 1, b->rhs, b->acc, b->workspace->work, &b->exec);
+        if (b->model->smooth && !key.exact) SFEMI_TRY(sfemi_body_static_cg(b, f, b->acc, err));
+        else sfemi_factor_solve(f, b->model->mesh.nodes, 1, b->rhs, b->acc, b->workspace->work, &b->exec);
         SFEMI_TRY(sfemi_body_static_handles(b, f, b->acc, 1, err));
     }
     if (!sfemi_all_finite(b->acc, n)) {
@@ -33290,8 +35037,8 @@ done:
     return status;
 }
 
-/* K, M and their norms on the free nodes. */
-static sfem_status sfemi_modes_matrices(sfemi_modes_system *s, sfem_error *err)
+/* K, M and their norms on the free nodes; `full` is K on all nodes. */
+static sfem_status sfemi_modes_matrices(sfemi_modes_system *s, const sfem_matrix *full, sfem_error *err)
 {
     const sfem_model *m = s->model;
     sfem_int *number, *row = NULL, *col = NULL, k, at, blocks = 0;
@@ -33304,8 +35051,8 @@ static sfem_status sfemi_modes_matrices(sfemi_modes_system *s, sfem_error *err)
     SFEMI_TAKE(sfem_real, sum, &pool, 3 * (size_t)s->n);
     for (k = 0; k < s->n; ++k) number[s->node[k]] = k + 1;
     for (k = 0; k < s->n; ++k)
-        for (at = m->row[s->node[k]]; at < m->row[s->node[k] + 1]; ++at)
-            blocks += number[m->col[at]] > 0;
+        for (at = full->row[s->node[k]]; at < full->row[s->node[k] + 1]; ++at)
+            blocks += number[full->col[at]] > 0;
     SFEMI_TRY(sfemi_fem_new_matrix(s->n, (size_t)blocks, 9, s->al, &row, &col, &s->k, err));
     SFEMI_TAKE(sfem_real, s->mass, &s->pool, 3 * (size_t)s->n);
     if (m->block_mass)
@@ -33314,11 +35061,11 @@ static sfem_status sfemi_modes_matrices(sfemi_modes_system *s, sfem_error *err)
         SFEMI_TAKE(sfem_real, s->root, &s->pool, 3 * (size_t)s->n);
     for (blocks = k = 0; k < s->n; ++k) {
         const sfem_int node = s->node[k];
-        for (at = m->row[node]; at < m->row[node + 1]; ++at) {
-            const sfem_int other = m->col[at], j = number[other] - 1;
+        for (at = full->row[node]; at < full->row[node + 1]; ++at) {
+            const sfem_int other = full->col[at], j = number[other] - 1, narrow = sfemi_fem_narrow(m, at, node, other);
             sfem_real *b = s->k.val + 9 * (size_t)blocks;
             if (j < 0) continue;
-            memcpy(b, m->stiffness.val + 9 * (size_t)at, 9 * sizeof *b);
+            memcpy(b, full->val + 9 * (size_t)at, 9 * sizeof *b);
             for (r = 0; r < 3; ++r)
                 for (c = 0; c < 3; ++c) {
                     if (((s->mask[node] >> r & 1) || (s->mask[other] >> c & 1)) && !(j == k && r == c))
@@ -33326,7 +35073,7 @@ static sfem_status sfemi_modes_matrices(sfemi_modes_system *s, sfem_error *err)
                     sum[3 * (size_t)k + (size_t)r] += fabs(b[3 * r + c]);
                     if (j != k) sum[3 * (size_t)j + (size_t)c] += fabs(b[3 * r + c]);
                 }
-            if (s->scalar) s->scalar[blocks] = m->block_mass[at];
+            if (s->scalar) s->scalar[blocks] = narrow < 0 ? 0 : m->block_mass[narrow];
             col[blocks++] = j;
         }
         row[k + 1] = blocks;
@@ -33545,15 +35292,19 @@ static sfem_status sfemi_modes_system_create(const sfem_model *model, const sfem
                                              sfemi_modes_system *s, sfem_error *err)
 {
     sfem_status status;
+    sfem_matrix full; /* where it is not the model's own */
+    memset(&full, 0, sizeof full);
     memset(s, 0, sizeof *s);
     s->model = model;
     s->def = def;
     s->al = &def->allocator;
     s->pool = sfemi_pool_of(s->al);
     SFEMI_TRY(sfemi_modes_mask(s, err));
-    SFEMI_TRY(sfemi_modes_matrices(s, err));
+    if (model->smooth) SFEMI_TRY(sfem_model_assemble_stiffness(model, s->al, &full, err));
+    SFEMI_TRY(sfemi_modes_matrices(s, model->smooth ? &full : &model->stiffness, err));
     SFEMI_TRY(sfemi_modes_rigid(s, err));
 done:
+    sfem_matrix_free(&full);
     return status;
 }
 
@@ -38941,6 +40692,18 @@ SFEM_DEF sfem_embed_def sfem_default_embed_def(void)
     return d;
 }
 
+/* Squares of distances have to be finite. */
+static sfem_status sfemi_embed_check_mesh(const sfem_mesh *m, sfem_error *err)
+{
+    const sfem_status status = sfem_mesh_check(m, NULL, err);
+    size_t k;
+    for (k = 0; status == SFEM_OK && k < 3 * (size_t)m->nodes; ++k)
+        if (fabs(m->x[k]) > 1e100)
+            return sfemi_fail_at(err, SFEM_BAD_ARGUMENT, (sfem_int)(k / 3), -1,
+                                 "node %ld of the mesh is at %g m: beyond 1e100", (long)(k / 3), m->x[k]);
+    return status;
+}
+
 static sfem_status sfemi_embed_check(const sfem_embed_def *d, sfem_error *err)
 {
     size_t k;
@@ -39120,7 +40883,7 @@ SFEM_DEF sfem_status sfem_embed_create(const sfem_mesh *mesh, const sfem_embed_d
     memset(&job, 0, sizeof job);
     trees = sfemi_pool_of(&def->allocator);
     SFEMI_TRY(sfemi_embed_check(def, err));
-    SFEMI_TRY(sfem_mesh_check(mesh, NULL, err));
+    SFEMI_TRY(sfemi_embed_check_mesh(mesh, err));
     SFEMI_TRY(sfemi_embed_open(&search, mesh, &surface, &trees, err));
     SFEMI_NEW_OWNER(sfem_embed, e, &def->allocator);
     e->exec = def->exec;
@@ -40624,13 +42387,13 @@ static sfem_status sfemi_clip_inner(sfemi_clip *s, sfem_int face, const sfem_int
         rotates = s->winding[f->corner[k]];
         for (i = 0; i <= hits; ++i) {
             const sfem_int number = i == hits ? -1 : s->order[along ? first[k] + i : last[k] - 1 - i];
-            const sfemi_clip_hit *h = s->hit + number;
-            const sfem_real t = number < 0 ? 1 : along ? h->t : 1 - h->t;
-            to = number < 0 ? corner[next]
-                            : sfemi_plane_vertex(s, 4 * number + SFEMI_CLIP_HIT, k == 0 ? t : k == 1 ? 1 - t : 0,
-                                                 k == 0 ? 0 : k == 1 ? t : 1 - t);
+            const sfemi_clip_hit *h = number < 0 ? NULL : s->hit + number;
+            const sfem_real t = !h ? 1 : along ? h->t : 1 - h->t;
+            to = !h ? corner[next]
+                    : sfemi_plane_vertex(s, 4 * number + SFEMI_CLIP_HIT, k == 0 ? t : k == 1 ? 1 - t : 0,
+                                         k == 0 ? 0 : k == 1 ? t : 1 - t);
             for (j = 0; j < abs(rotates); ++j) sfemi_plane_edge(p, rotates > 0 ? from : to, rotates > 0 ? to : from, 0);
-            if (number >= 0) rotates += (h->sign > 0) == along ? -1 : 1;
+            if (h) rotates += (h->sign > 0) == along ? -1 : 1;
             from = to;
         }
     }
@@ -40905,7 +42668,7 @@ static void sfemi_embed_pieces_apply(sfemi_embed_job *j, const sfem_embed_pieces
 {
     sfem_embed *e = j->embed;
     sfem_int v;
-    SFEM_ASSERT(e && o && b && b->damage && j->x && (!j->n || e->normal));
+    SFEM_ASSERT(e && o && b && b->damage && j->x && (!j->n || e->normal) && e->info.nodes == b->model->mesh.nodes);
     sfemi_workspace_bind(b);
     sfemi_fragments_rotate(b);
     if (j->n) {
@@ -42375,6 +44138,7 @@ static SFEMI_TARGET void SFEMI_KERNEL(sfemi_modes_scale)(const double *factor, c
 
 /* ============================================================================================
  * CHANGES
+ *   next    smooth tets (sfem_material.tet), which do not lock in bending or as nu nears 0.5
  *   0.4.0   the step of nonlinear bodies is corrected by L-BFGS with its factor (accuracy, dissipation in place of
  *           corrections); linear bodies keep their energy where steps, pins or handles change; impulses; damping
  *           forces with (p,q,r); refactorise in place of renew; Medit, Abaqus, .vtu and binary VTK meshes; sets and

@@ -12,7 +12,7 @@
 #include "softfem.h"
 #include "elastic.h"
 
-enum { FRAMES = 6, MAX_LOADS = 16, MAX_OBSTACLES = 32 };
+enum { FRAMES = 6, MAX_OBSTACLES = 32, MAX_STEPS = 10000000 };
 
 static const ex_option table[] = {
     {"MESH", "FILE", NULL,
@@ -29,6 +29,8 @@ static const ex_option table[] = {
     {"--cells", "NX,NY,NZ", "20,4,4", "cells of the bar, five tets each"},
     {"--material", "linear|corotational|stvk|neohookean", "corotational",
      "the law of the material"},
+    {"--tet", "linear|smooth", "linear",
+     "linear tets lock in bending and as nu nears 0.5, smooth ones do not"},
     {"--young", "E", "1.5e5", "Young's modulus, Pa"},
     {"--poisson", "NU", "0.3", "Poisson's ratio"},
     {"--density", "RHO", "1000", "kg/m^3; the three are of all tets, else the file's constants, where it has them"},
@@ -153,7 +155,7 @@ static void fill_surface(run *r, const char *path)
     must(sfem_surface_read(path, NULL, &s, &err), &err);
     def.mode = ex_given(&r->o, "--cage") ? SFEM_CAGE : SFEM_FITTED;
     def.tets = (sfem_int)ex_integer(&r->o, "--tets");
-    def.exec.threads = (sfem_int)ex_integer(&r->o, "--threads");
+    def.exec.threads = (sfem_int)ex_count(&r->o, "--threads", 1);
     def.progress = show_progress;
     show_progress(0, NULL); /* the clock starts */
     must(sfem_mesh_from_surface(&def, &s, &r->mesh, &r->mesher, &err), &err);
@@ -165,9 +167,9 @@ __attribute__((noreturn)) static void refuse_mesh(const char *path, const sfem_e
 {
     sfem_surface s;
     if (strstr(err->text, "'linear'")) ex_fail("%s: here --linear", err->text);
-    if (sfem_surface_read(path, NULL, &s, NULL) == SFEM_OK)
-        ex_fail("%s: this file has %ld triangles and no tets; --tets 5000 makes some", path, (long)s.triangles);
-    ex_fail("%s", err->text);
+    if (!strstr(err->text, "sfem_mesh_from_surface") || sfem_surface_read(path, NULL, &s, NULL) != SFEM_OK)
+        ex_fail("%s", err->text);
+    ex_fail("%s: this file has %ld triangles and no tets; --tets 5000 makes some", path, (long)s.triangles);
 }
 
 static void read_file(run *r, const char *path)
@@ -190,7 +192,11 @@ static void make_bar(run *r)
     sfem_error err;
     int k;
     ex_reals(&r->o, "--cells", 3, cells);
-    for (k = 0; k < 3; ++k) n[k] = (sfem_int)cells[k];
+    for (k = 0; k < 3; ++k) {
+        if (!(cells[k] >= 1 && cells[k] <= 1e6) || cells[k] != floor(cells[k]))
+            ex_fail("--cells: %g is not a whole number from 1 to 1e6", cells[k]);
+        n[k] = (sfem_int)cells[k];
+    }
     must(sfem_mesh_block(n, size, SFEM_CELL_5_TETS, NULL, &r->mesh, &err), &err);
 }
 
@@ -235,6 +241,11 @@ static void read_mesh(run *r)
     sfem_mesh_report report;
     sfem_status status;
     sfem_error err;
+    if ((ex_given(&r->o, "--weld") || ex_given(&r->o, "--linear")) &&
+        (!path || ex_given(&r->o, "--tets") || ex_given(&r->o, "--cage")))
+        ex_fail("--weld and --linear are of a file with tets, and here is %s", path ? "a surface" : "none");
+    if ((ex_given(&r->o, "--tets") || ex_given(&r->o, "--cage")) && !path)
+        ex_fail("--tets and --cage fill the surface in a file, and here is none");
     if (!path)
         make_bar(r);
     else if (ex_given(&r->o, "--tets") || ex_given(&r->o, "--cage"))
@@ -304,6 +315,7 @@ static sfem_material material_of_all(const run *r)
     m.mass_damping = rayleigh[0];
     m.stiffness_damping = rayleigh[1];
     m.law = (sfem_law)ex_choice(&r->o, "--material"); /* in the order of the enumeration */
+    m.tet = (sfem_tet)ex_choice(&r->o, "--tet");      /* likewise */
     return m;
 }
 
@@ -410,8 +422,7 @@ static void make_modal(run *r, const sfem_body_def *body)
     double rayleigh[2];
     sfem_error err;
     ex_reals(&r->o, "--rayleigh", 2, rayleigh);
-    modes.modes = (sfem_int)ex_integer(&r->o, "--modes");
-    if (modes.modes < 1) ex_fail("--modes must be at least 1");
+    modes.modes = (sfem_int)ex_count(&r->o, "--modes", 1);
     modes.pins = body->pins;
     modes.pin_count = body->pin_count;
     modes.exec = body->exec;
@@ -475,12 +486,14 @@ static void make_body(run *r)
     def.r = ex_real(&r->o, "--r");
     def.precision = ex_choice(&r->o, "--precision") ? SFEM_MIXED : SFEM_DOUBLE;
     ex_reals(&r->o, "--gravity", 3, def.gravity);
-    def.exec.threads = (sfem_int)ex_integer(&r->o, "--threads");
+    def.exec.threads = (sfem_int)ex_count(&r->o, "--threads", 1);
     def.pins = pins;
     def.pin_count = count;
     def.max_handle_nodes = r->mesh.nodes;
     def.handle_max_force = ex_real(&r->o, "--grip");
     r->breaks = ex_given(&r->o, "--fracture") || ex_given(&r->o, "--strength");
+    if (r->breaks && !strcmp(ex_text(&r->o, "--integrator"), "modal"))
+        ex_fail("--fracture and --strength: modal bodies do not break");
     if (r->breaks) {
         damage.law = ex_choice(&r->o, "--damage") ? SFEM_DAMAGE_CONDENSED : SFEM_DAMAGE_ZSZ;
         damage.toughness = ex_given(&r->o, "--fracture") ? ex_real(&r->o, "--fracture") : 0;
@@ -617,6 +630,8 @@ static void add_velocity(const run *r, const char *text, double *v)
     if (!strncmp(text, "random:", 7)) {
         uint64_t state;
         ex_numbers("--velocity", text + 7, 2, number);
+        if (!(number[1] >= 0 && number[1] < 9e15) || number[1] != floor(number[1]))
+            ex_fail("--velocity: the seed %g is not a whole number from 0 to 9e15", number[1]);
         state = (uint64_t)number[1];
         for (i = 0; i < 3 * r->mesh.nodes; ++i) v[i] += number[0] * ex_gauss(&state);
         return;
@@ -690,6 +705,7 @@ static void take_hold(run *r)
     double *weight, where[4], most = 0;
     sfem_patch patch;
     sfem_error err;
+    int near = 0;
     r->hand = -1;
     if (!ex_given(&r->o, "--grab")) return;
     node = (sfem_int *)ex_new((size_t)r->mesh.nodes, sizeof *node);
@@ -700,18 +716,18 @@ static void take_hold(run *r)
     patch.radius = where[3];
     patch.surface = &r->surface;
     must(sfem_mesh_near(&r->mesh, &patch, r->mesh.nodes, node, weight, &count, &err), &err);
+    for (k = 0; k < count; ++k) {
+        const sfem_real *x = r->mesh.x + 3 * (size_t)node[k];
+        most = fmax(most, weight[k]);
+        near = near || hypot(hypot(x[0] - where[0], x[1] - where[1]), x[2] - where[2]) <= where[3];
+    }
+    if (!near) ex_fail("--grab: no node of the surface is within %g m of %g,%g,%g", where[3], where[0], where[1], where[2]);
     if (r->modal) {
         must(sfem_modal_grab_region(r->modal, count, node, weight, &r->hand, &err), &err);
         sfem_modal_handle_position(r->modal, r->hand, r->held);
     } else {
         must(sfem_body_grab_region(r->body, count, node, weight, &r->hand, &err), &err);
         sfem_body_handle_position(r->body, r->hand, r->held);
-    }
-    for (k = 0; k < count; ++k) most = fmax(most, weight[k]);
-    if (hypot(hypot(r->held[0] - where[0], r->held[1] - where[1]), r->held[2] - where[2]) > where[3]) {
-        fflush(stdout);
-        fprintf(stderr, "--grab: there is no surface within %g m of %g,%g,%g\n", where[3], where[0], where[1], where[2]);
-        exit(1);
     }
     printf("handle: %d nodes about %.3g %.3g %.3g m, each with at most %.2g of its force\n",
            (int)count, r->held[0], r->held[1], r->held[2], most);
@@ -751,7 +767,7 @@ static void choose_probe(run *r)
     double lower[3], upper[3], most = -1;
     sfem_int i;
     int c;
-    r->probe = (sfem_int)ex_integer(&r->o, "--probe");
+    r->probe = (sfem_int)ex_count(&r->o, "--probe", -1);
     if (r->probe >= r->mesh.nodes)
         ex_fail("--probe %d: the mesh has %d nodes", (int)r->probe, (int)r->mesh.nodes);
     if (r->probe >= 0) return;
@@ -901,7 +917,7 @@ static void write_step(run *r, const char *path)
 /* 5. Rest, or steps through time. */
 static void simulate(run *r)
 {
-    const sfem_int every = (sfem_int)ex_integer(&r->o, "--vtu");
+    const sfem_int every = (sfem_int)ex_count(&r->o, "--vtu", 0);
     char(*name)[32] = (char(*)[32])ex_new((size_t)r->steps + 1, sizeof *name);
     const char **file = (const char **)ex_new((size_t)r->steps + 1, sizeof *file);
     double *when = (double *)ex_new((size_t)r->steps + 1, sizeof *when), start;
@@ -1053,8 +1069,8 @@ int main(int argc, char **argv)
     memset(&r, 0, sizeof r);
     r.o = ex_parse(argc, argv, "Simulates an elastic body and draws it.", table);
     r.h = ex_real(&r.o, "--dt");
-    r.steps = (sfem_int)ex_integer(&r.o, "--steps");
-    if (r.steps < 1) ex_fail("--steps must be at least 1");
+    r.steps = (sfem_int)ex_count(&r.o, "--steps", 1);
+    if (r.steps > MAX_STEPS) ex_fail("--steps must be at most %d", MAX_STEPS);
     if (ex_given(&r.o, "--quick") && r.steps > 12) r.steps = 12;
     if (ex_given(&r.o, "--static")) r.steps = 0;
     ex_make_directory(ex_text(&r.o, "--out"));
