@@ -1309,6 +1309,46 @@ static void held_and_linear_bodies_touch_too(void **unused)
     }
 }
 
+/* Tets that do not lock: a nearly incompressible cube lands, makes no energy, does not sink, and rests with its weight. */
+static void smooth_tets_touch_too(void **unused)
+{
+    const double h = 1.0 / 60;
+    sfem_model_def model_def = sfem_default_model_def();
+    sfem_body_def def = falling();
+    sfem_real force[3], torque[3];
+    double start = 0, x0[3], x1[3];
+    sfem_mesh mesh = block(4, 0.3);
+    sfem_error err;
+    scene s;
+    int k;
+    (void)unused;
+    shift(&mesh, 0, 0, 0.3);
+    s = scene_of(mesh, SFEM_COROTATIONAL, 1e5, 0.49);
+    sfem_model_free(s.model);
+    model_def.mesh = &s.mesh;
+    model_def.material.young = 1e5;
+    model_def.material.poisson = 0.49;
+    model_def.material.tet = SFEM_TET_SMOOTH;
+    assert_ok(sfem_model_create(&model_def, &s.model, &err), err);
+    def.stiffness_damping = 0.01;
+    def.mass_damping = 1;
+    add_body(&s, &def, 0.5);
+    s.floor = add_plane(&s, 0, 1, 0, 0.5, 0);
+    for (k = 0; k < 180; ++k) {
+        double energy;
+        centre(&s, 0, x0);
+        step(&s, h);
+        centre(&s, 0, x1);
+        energy = middle_energy(&s, 0, x0, x1, h);
+        if (k == 0) start = energy;
+        assert_true(energy <= start * (1 + 1e-9));
+        assert_true(lowest(&s, 0) > -2e-3);
+    }
+    sfem_contact_obstacle_force(s.contact, s.floor, force, torque);
+    assert_near(force[2], -s.mass * GRAVITY, 1e-2, 0);
+    drop(&s);
+}
+
 /* --------------------------------------------------------------------------------------------
  * unstructured meshes
  * -------------------------------------------------------------------------------------------- */
@@ -1996,6 +2036,7 @@ int main(void)
         cmocka_unit_test(compliance_gives_way_in_proportion),
         cmocka_unit_test(overlaps_are_pushed_out_slowly),
         cmocka_unit_test(held_and_linear_bodies_touch_too),
+        cmocka_unit_test(smooth_tets_touch_too),
         cmocka_unit_test(a_body_with_slivers_is_dropped_and_thrown),
         cmocka_unit_test(columns_keep_their_budgets_and_change_nothing),
         cmocka_unit_test(saved_states_go_on_with_the_same_bits),
