@@ -33,8 +33,8 @@
  *     push              sfem_body_set_gravity, _set_lasting_force, _add_lasting_force; _add_step_force, _add_impulse
  *     hold and grab     sfem_body_set_pins, _move_pin; sfem_mesh_near; sfem_body_grab_node, _grab_point, _grab_region
  *                       sfem_body_move_handle, _release_handle
- *     touch obstacles   sfem_contact_create, _add_body, _add_obstacle, _move_obstacle, _step, _points, _free
- *                       sfem_obstacle_plane; sfem_contact_obstacle_force
+ *     touch obstacles   sfem_contact_create, _add_body, _add_obstacle, _move_obstacle, _step, _points, _save_state, _free
+ *                       sfem_obstacle_plane; sfem_contact_obstacle_force; your own: sfem_body_apply_impulses
  *     look at           sfem_body_positions, _velocities, _displacement, _energy, _get_info, _reactions
  *                       sfem_body_handle_force; sfem_model_stress, _smooth_stress
  *     render            sfem_mesh_surface, sfem_body_to_floats, sfem_body_normals; sfem_surface_normals
@@ -1974,7 +1974,11 @@ typedef struct sfem_contact_def {
     sfem_real push_speed;      /* m/s, at most, >= 0; 0.5. It is work done on the body */
     sfem_int max_contacts;     /* of all bodies together, >= 1; 4096 */
     size_t cache_bytes;        /* for columns of A^-1, 36 bytes for each pair of nodes; 256 MB. Where they do not suffice,
-                                * those that have not been of use for longest go; those of the step under way stay */
+                                * those that have not been of use for longest go; with less than a step needs it makes
+                                * them again in each. Only while they are made there are up to 8 columns more. Beside
+                                * it a body keeps 36 bytes for each pair of nodes that are in contact */
+    sfem_real column_flops;    /* multiply-adds a step for columns of nodes that will touch within 8 steps, >= 0; 3e7. Bodies
+                                * that come near have them made early, of two nodes a step or more; 0: when they touch */
     sfem_allocator allocator;
 } sfem_contact_def;
 SFEM_DEF sfem_contact_def sfem_default_contact_def(void);
@@ -2076,6 +2080,16 @@ typedef struct sfem_contact_point {
 /* Those of the last step with an impulse, by body and node; good until the next call to the object. */
 SFEM_DEF const sfem_contact_point *sfem_contact_points(const sfem_contact *contact, sfem_int *count);
 
+/* What steps take over beside the states of the bodies: the impulses and planes of the contacts, where the obstacles are and
+ * how they move. Loaded together with the states of all bodies it makes them go on with the same bits; where bodies alone
+ * are loaded the contacts are found anew. Obstacles and bodies have to be there, with the same numbers. The size changes
+ * with the contacts.
+ *   errors  SFEM_FORMAT (not such a state, damaged), SFEM_MISMATCH (of other bodies, obstacles), SFEM_FULL,
+ *           SFEM_OUT_OF_MEMORY: all is as it was */
+SFEM_DEF size_t sfem_contact_state_size(const sfem_contact *contact);
+SFEM_DEF void sfem_contact_save_state(const sfem_contact *contact, void *memory);
+SFEM_DEF sfem_status sfem_contact_load_state(sfem_contact *contact, const void *memory, size_t bytes, sfem_error *err);
+
 /* What all bodies exerted on an obstacle in the last step: force, N, and torque about its position, N m. */
 SFEM_DEF void sfem_contact_obstacle_force(const sfem_contact *contact, sfem_int id, sfem_real force[3],
                                           sfem_real torque[3]);
@@ -2095,6 +2109,32 @@ typedef struct sfem_contact_info {
     size_t bytes;            /* of all that this object holds */
 } sfem_contact_info;
 SFEM_DEF sfem_contact_info sfem_contact_get_info(const sfem_contact *contact);
+
+/* CONTACT OF YOUR OWN, with rigid bodies of another engine or by another solver of cones; no sfem_contact is needed. Between
+ * sfem_body_solve and sfem_body_finish:
+ *     w' = sfem_body_free_velocity                   where nodes go, x' = x + h w', with all impulses so far
+ *     sfem_body_add_impulse                          yours, at nodes
+ *     sfem_body_apply_impulses                       w' with them; any number of times, until your cones are satisfied
+ * What an impulse j at node k does to w' at node i is about Q_i C_ik Q_k^T j, Q the frames and C the compliance of the rest
+ * pose: the metric of an iteration in which every change of j is applied. Impulses are in the energy budget, and stay in
+ * a step that is rejected. Bodies of SFEM_PQR, SFEM_CENTRAL, SFEM_GUI and SFEM_CHANG. */
+
+/* C of a node with all others: column [nodes][3][3], m/s for N s, by rows, between prepare and the next change of h, pins or
+ * factor. It has neither handles nor, for free bodies, what keeps momenta exact in a rotated body, some per cent.
+ *   errors  SFEM_BAD_ARGUMENT (node, integrator), SFEM_NOT_PREPARED, SFEM_OUT_OF_MEMORY
+ *   cost    three solves and memory for them: make it once and keep it */
+SFEM_DEF sfem_status sfem_body_compliance(sfem_body *body, sfem_int node, sfem_real *column, sfem_error *err);
+
+/* Q of a node, by rows, in the step under way. 1 for bodies whose laws are all linear. */
+SFEM_DEF void sfem_body_frame(const sfem_body *body, sfem_int node, sfem_real q[9]);
+
+/* w' of a node, m/s, after sfem_body_solve. */
+SFEM_DEF void sfem_body_free_velocity(const sfem_body *body, sfem_int node, sfem_real w[3]);
+
+/* Solves the step again with what was added to it since sfem_body_solve; nothing where that is nothing.
+ *   errors  SFEM_BAD_ARGUMENT (not between solve and finish), those of sfem_body_solve
+ *   cost    sfem_body_predict and _solve */
+SFEM_DEF sfem_status sfem_body_apply_impulses(sfem_body *body, sfem_error *err);
 #endif /* SFEM_NO_CONTACT */
 
 #endif /* SFEM_NO_BODY */
@@ -31520,7 +31560,8 @@ typedef struct sfemi_obstacle {
 
 typedef struct sfemi_row {
     sfem_int feature; /* a node, or nodes + number of a triangle of the surface */
-    sfem_int obstacle, parts, node[SFEMI_CONTACT_PARTS];
+    sfem_int obstacle, parts;
+    sfem_int body[SFEMI_CONTACT_PARTS], node[SFEMI_CONTACT_PARTS]; /* it stands in the list of the first one's body */
     sfem_real weight[SFEMI_CONTACT_PARTS];
     int fresh;        /* of this step */
     int pushed;       /* starts inside */
@@ -31543,6 +31584,7 @@ typedef struct sfemi_columns {
     struct sfemi_columns *next;
     sfem_model *model;
     sfem_factor *factor;
+    int64_t made;       /* number of these columns, from 1 */
     int owned;          /* a reference to it is held; else it is a body's own refactored one, of the stamp */
     int64_t stamp;
     sfem_int users;
@@ -31565,6 +31607,10 @@ typedef struct sfemi_touch { /* a body */
     sfemi_row *row;
     sfem_int rows, room;
     sfemi_columns *columns;
+    float *g;                  /* compact G of g_node, kept while its nodes and columns stay the same */
+    sfem_int *g_node, g_nodes, g_node_room;
+    size_t g_room;
+    int64_t g_of;              /* columns->made of those that it is of; 0: none */
     /* the step under way */
     int sleep, asleep, rests;  /* rests: it goes on sleeping */
     int fallback, done;
@@ -31583,7 +31629,7 @@ typedef struct sfemi_touch { /* a body */
 typedef struct sfemi_contact_node {
     sfem_int body, node;
     sfem_int first, count; /* of its body in the system */
-    float *g;              /* [3][3 count] */
+    const float *g;        /* [3][sfemi_contact_stride(count)] */
 } sfemi_contact_node;
 
 struct sfem_contact {
@@ -31594,7 +31640,8 @@ struct sfem_contact {
     sfem_int touches, touch_room;
     sfemi_columns *columns;
     size_t column_bytes;
-    int64_t step;
+    int64_t step, columns_made;
+    sfem_real early; /* multiply-adds left in this step for columns that are made early */
     sfem_contact_info info;
     sfem_contact_point *point;
     sfem_int points, point_room;
@@ -31604,8 +31651,7 @@ struct sfem_contact {
     sfemi_contact_node *node;
     sfem_int nodes, node_room;
     sfem_real *v, *v0;     /* [nodes][3] after and before the sweeps */
-    float *g;
-    size_t g_room, v_room, v0_room;
+    size_t v_room, v0_room;
     /* scratch, [mesh nodes][3] of the largest body */
     sfem_real *w, *x, *y, *rhs, *work;
     size_t vector_room, x_room, y_room, rhs_room, work_room;
@@ -32291,6 +32337,7 @@ static sfem_status sfemi_contact_detect_nodes(sfem_contact *c, sfemi_touch *t, s
         memset(&row, 0, sizeof row);
         if (!sfemi_contact_meets(o, y0, y1, margin, &row)) continue;
         row.feature = row.node[0] = t->node[i];
+        row.body[0] = (sfem_int)(t - c->touch);
         row.parts = row.fresh = 1;
         row.weight[0] = 1;
         row.obstacle = obstacle;
@@ -32493,7 +32540,7 @@ static sfem_status sfemi_contact_detect_faces(sfem_contact *c, sfemi_touch *t, s
     const sfemi_obstacle *o = c->obstacle + obstacle;
     const sfem_int nodes = t->body->model->mesh.nodes;
     sfem_status status = SFEM_OK;
-    sfem_int i;
+    sfem_int i, k;
     for (i = 0; i < t->triangles; ++i) {
         const sfem_int *tri = t->tri + 3 * (size_t)i;
         sfem_real first[9], corner[9];
@@ -32505,6 +32552,7 @@ static sfem_status sfemi_contact_detect_faces(sfem_contact *c, sfemi_touch *t, s
         if (sfemi_contact_face_is_touched(t, &row)) continue;
         memcpy(row.node, tri, 3 * sizeof *tri);
         row.parts = 3;
+        for (k = 0; k < row.parts; ++k) row.body[k] = (sfem_int)(t - c->touch);
         sfemi_contact_face_at(t, o, tri, w, 0, 0, first);
         sfemi_contact_face_at(t, o, tri, w, h, 1, corner);
         if (!sfemi_contact_face_plane(o, first, corner, 1e-3 * t->edge, &row)) continue;
@@ -32597,6 +32645,7 @@ static sfem_status sfemi_columns_get(sfem_contact *c, sfemi_touch *t, sfem_error
     if (!k) {
         SFEMI_NEW(sfemi_columns, k, al, 1);
         k->users = 1;
+        k->made = ++c->columns_made;
         k->next = c->columns; /* in the list from here on: release takes it out again */
         c->columns = t->columns = k;
         k->model = b->model;
@@ -32627,14 +32676,14 @@ done:
     return status;
 }
 
-/* The columns that have not been of use for longest go. */
-static int sfemi_columns_drop_oldest(sfem_contact *c)
+/* The columns that have not been of use since the step `before` and for longest go. */
+static int sfemi_columns_drop_oldest(sfem_contact *c, int64_t before)
 {
     sfemi_columns *k, *oldest = NULL;
     sfem_int i, at = -1;
     for (k = c->columns; k; k = k->next)
         for (i = 0; i < k->surface; ++i) {
-            if (!k->at[i] || k->used[i] >= c->step) continue;
+            if (!k->at[i] || k->used[i] >= before) continue;
             if (!oldest || k->used[i] < oldest->used[at]) oldest = k, at = i;
         }
     if (!oldest) return 0;
@@ -32668,7 +32717,7 @@ static sfem_status sfemi_columns_make(sfem_contact *c, const sfemi_touch *t, con
     sfemi_factor_solve(k->factor, nodes, 3 * count, c->rhs, c->rhs, c->work, &t->body->exec);
     for (i = 0; i < count; ++i) {
         float *to;
-        while (c->column_bytes + bytes > c->def.cache_bytes && sfemi_columns_drop_oldest(c)) {}
+        while (c->column_bytes + bytes > c->def.cache_bytes && sfemi_columns_drop_oldest(c, c->step)) {}
         SFEMI_NEW(float, to, &c->def.allocator, 3 * s);
         k->at[which[i]] = to;
         k->used[which[i]] = c->step;
@@ -32680,6 +32729,77 @@ static sfem_status sfemi_columns_make(sfem_contact *c, const sfemi_touch *t, con
                 for (r = 0; r < 3; ++r)
                     to[(size_t)a * s + 3 * (size_t)j + (size_t)r] =
                         (float)c->rhs[(3 * (size_t)i + (size_t)a) * n + 3 * (size_t)k->node[j] + (size_t)r];
+    }
+done:
+    return status;
+}
+
+/* Back to within the budget. */
+static void sfemi_columns_trim(sfem_contact *c)
+{
+    while (c->column_bytes > c->def.cache_bytes && sfemi_columns_drop_oldest(c, c->step + 1)) {}
+}
+
+/* A block of 8 right sides takes 32 multiply-adds for a number in L. */
+static sfem_real sfemi_columns_cost(const sfemi_columns *k, sfem_int nodes)
+{
+    return 32 * (sfem_real)sfem_ldl_get_info(k->factor->ldl).nnz * (sfem_real)((3 * nodes + 7) / 8);
+}
+
+/* How many nodes' columns may be made early now. */
+static sfem_int sfemi_columns_early(const sfem_contact *c, const sfemi_columns *k)
+{
+    const size_t bytes = 9 * (size_t)k->surface * sizeof(float);
+    const size_t room = c->def.cache_bytes > c->column_bytes ? (c->def.cache_bytes - c->column_bytes) / bytes : 0;
+    sfem_int most = SFEMI_COLUMN_BATCH;
+    if (!(c->early > 0) || !k->factor->ldl) return 0;
+    while (most > 2 && sfemi_columns_cost(k, most) > c->early) --most;
+    return room < (size_t)most ? (sfem_int)room : most;
+}
+
+/* Makes columns of nodes that will touch soon, as they and the obstacles move now. What is in no result: columns are the
+ * same whenever they are made. */
+static sfem_status sfemi_columns_expect(sfem_contact *c, sfemi_touch *t, sfem_real h, sfem_error *err)
+{
+    const sfem_real ahead = 8 * h, *rest = t->body->model->mesh.x, *u = t->body->state.u, *w = t->body->state.w;
+    sfem_int which[SFEMI_COLUMN_BATCH], count = 0, most = -1, i, j;
+    sfem_status status = SFEM_OK;
+    sfem_real box[2][3];
+    int k;
+    if (!(c->early > 0)) return SFEM_OK;
+    for (k = 0; k < 3; ++k) box[0][k] = 1e300, box[1][k] = -1e300;
+    for (i = 0; i < t->nodes; ++i)
+        for (k = 0; k < 3; ++k) {
+            const size_t at = 3 * (size_t)t->node[i] + (size_t)k, to = 3 * (size_t)i + (size_t)k;
+            t->x0[to] = rest[at] + u[at];
+            t->x1[to] = t->x0[to] + ahead * w[at];
+            box[0][k] = fmin(box[0][k], fmin(t->x0[to], t->x1[to]));
+            box[1][k] = fmax(box[1][k], fmax(t->x0[to], t->x1[to]));
+        }
+    for (j = 0; j < c->obstacles && most != 0 && count != most; ++j) {
+        sfemi_obstacle o = c->obstacle[j];
+        if (!sfemi_contact_pair(t, &o)) continue;
+        for (k = 0; k < 3; ++k) o.to[k] = o.from[k] + ahead * o.velocity[k];
+        if (sfemi_obstacle_is_far(&o, box, 0.1 * t->edge)) continue;
+        if (most < 0) {
+            SFEMI_TRY(sfemi_columns_get(c, t, err));
+            most = sfemi_columns_early(c, t->columns);
+        }
+        for (i = 0; i < t->nodes && count < most; ++i) {
+            sfem_real y0[3], y1[3];
+            sfemi_row row;
+            if (t->columns->at[i] || t->row_of[t->node[i]] >= 0) continue;
+            sfemi_obstacle_to_local(o.from, o.from_axes, t->x0 + 3 * (size_t)i, y0);
+            sfemi_obstacle_to_local(o.to, o.from_axes, t->x1 + 3 * (size_t)i, y1);
+            if (!sfemi_contact_meets(&o, y0, y1, 0.1 * t->edge, &row)) continue;
+            t->row_of[t->node[i]] = count;
+            which[count++] = i;
+        }
+    }
+    for (i = 0; i < count; ++i) t->row_of[t->node[which[i]]] = -1;
+    if (count) {
+        SFEMI_TRY(sfemi_columns_make(c, t, which, count, err));
+        c->early -= sfemi_columns_cost(t->columns, count);
     }
 done:
     return status;
@@ -32721,26 +32841,54 @@ static const sfem_real *sfemi_contact_frame(const sfemi_touch *t, sfem_int node)
     return b->safeguard.frame + 9 * (size_t)node;
 }
 
-/* The compact G of one body's nodes. */
-static sfem_status sfemi_contact_gather(sfem_contact *c, const sfemi_touch *t, sfem_int first, sfem_int count,
-                                        float *g, sfem_error *err)
+/* Floats from one axis of a compact G to the next: whole vectors, filled up with 0. */
+static size_t sfemi_contact_stride(sfem_int count)
+{
+    return (3 * (size_t)count + 3) / 4 * 4;
+}
+
+/* The compact G of one body's nodes, which stand in c->node from `first` on; that of the last system where it is the same. */
+static sfem_status sfemi_contact_gather(sfem_contact *c, sfemi_touch *t, sfem_int first, sfem_int count, sfem_error *err)
 {
     const sfemi_columns *k = t->columns;
-    const size_t s = 3 * (size_t)k->surface, n3 = 3 * (size_t)count;
+    const size_t s = 3 * (size_t)k->surface, stride = sfemi_contact_stride(count);
     sfem_status status = SFEM_OK;
     sfem_int i, j;
+    float *g;
     size_t a;
-    SFEMI_TRY(sfemi_columns_need(c, t, first, count, err));
-    for (i = first; i < first + count; ++i, g += 3 * n3) {
-        const float *from = k->at[k->index[c->node[i].node]];
-        c->node[i].first = first;
-        c->node[i].count = count;
-        c->node[i].g = g;
-        for (a = 0; a < 3; ++a)
-            for (j = 0; j < count; ++j)
-                memcpy(g + a * n3 + 3 * (size_t)j, from + a * s + 3 * (size_t)k->index[c->node[first + j].node],
-                       3 * sizeof *g);
+    int same = t->g_of == k->made && t->g_nodes == count;
+    for (i = 0; same && i < count; ++i) same = t->g_node[i] == c->node[first + i].node;
+    if (!same) {
+        t->g_of = 0;
+        SFEMI_CONTACT_ROOM(c, t->g, t->g_room, 3 * (size_t)count * stride);
+        SFEMI_CONTACT_LIST(c, t->g_node, t->g_node_room, count);
     }
+    for (i = 0, g = t->g; i < count; ++i, g += 3 * stride) {
+        const sfem_int at = k->index[c->node[first + i].node], left = count - i;
+        if (!same && i % SFEMI_COLUMN_BATCH == 0) {
+            sfemi_columns_trim(c);
+            SFEMI_TRY(sfemi_columns_need(c, t, first + i, left < SFEMI_COLUMN_BATCH ? left : SFEMI_COLUMN_BATCH, err));
+        }
+        c->node[first + i].first = first;
+        c->node[first + i].count = count;
+        c->node[first + i].g = g;
+        k->used[at] = c->step;
+        for (a = 0; !same && a < 3; ++a) {
+            const float *from = k->at[at] + a * s;
+            float *to = g + a * stride;
+            for (j = 0; j < count; ++j) {
+                const float *block = from + 3 * (size_t)k->index[c->node[first + j].node];
+                to[3 * j] = block[0];
+                to[3 * j + 1] = block[1];
+                to[3 * j + 2] = block[2];
+            }
+            for (j = 3 * count; (size_t)j < stride; ++j) to[j] = 0;
+        }
+        t->g_node[i] = c->node[first + i].node;
+    }
+    sfemi_columns_trim(c);
+    t->g_nodes = count;
+    t->g_of = k->made;
 done:
     return status;
 }
@@ -32752,15 +32900,16 @@ static void sfemi_contact_set_up_row(const sfem_contact *c, const sfemi_touch *t
     sfem_real x0[3], cofactor[9], det;
     int k, j, a, b;
     for (k = 0; k < row->parts; ++k) {
-        sfemi_mul3(row->axes, sfemi_contact_frame(t, row->node[k]), row->rotated[k]);
+        sfemi_mul3(row->axes, sfemi_contact_frame(c->touch + row->body[k], row->node[k]), row->rotated[k]);
         for (a = 0; a < 9; ++a) row->rotated[k][a] *= row->weight[k];
     }
     memset(row->d, 0, sizeof row->d);
     for (k = 0; k < row->parts; ++k)
         for (j = 0; j < row->parts; ++j) {
             const sfemi_contact_node *from = c->node + row->at[k];
-            const size_t n3 = 3 * (size_t)from->count, at = 3 * (size_t)(row->at[j] - from->first);
+            const size_t n3 = sfemi_contact_stride(from->count), at = 3 * (size_t)(row->at[j] - from->first);
             sfem_real block[9], half[9], both[9];
+            if (row->body[j] != row->body[k]) continue;
             for (a = 0; a < 3; ++a)
                 for (b = 0; b < 3; ++b) block[3 * a + b] = (sfem_real)from->g[(size_t)b * n3 + at + (size_t)a];
             sfemi_mul3(row->rotated[j], block, half);
@@ -32818,20 +32967,20 @@ done:
 static sfem_status sfemi_contact_assemble(sfem_contact *c, sfemi_island island, sfem_int *count, sfem_error *err)
 {
     sfem_status status = SFEM_OK;
-    sfem_int i, j, at = 0;
-    size_t g = 0;
+    sfem_int i, j;
     int k;
     SFEMI_TRY(sfemi_contact_enlist(c, island, count, err));
     c->nodes = 0;
     SFEMI_CONTACT_LIST(c, c->node, c->node_room, SFEMI_CONTACT_PARTS * *count + 1);
-    SFEMI_CONTACT_ROOM(c, c->v, c->v_room, 3 * (SFEMI_CONTACT_PARTS * (size_t)*count + 1));
+    SFEMI_CONTACT_ROOM(c, c->v, c->v_room, 3 * (SFEMI_CONTACT_PARTS * (size_t)*count + 2)); /* a vector may go beyond */
     SFEMI_CONTACT_ROOM(c, c->v0, c->v0_room, 3 * (SFEMI_CONTACT_PARTS * (size_t)*count + 1));
     for (i = island.first; i < island.first + island.count; ++i) {
         sfemi_touch *t = c->touch + i;
         const sfem_int first = c->nodes;
-        for (j = 0; j < t->rows; ++j, ++at)
-            for (k = 0; k < c->list[at]->parts; ++k) {
-                sfemi_row *row = c->list[at];
+        for (j = 0; j < *count; ++j)
+            for (k = 0; k < c->list[j]->parts; ++k) {
+                sfemi_row *row = c->list[j];
+                if (row->body[k] != i) continue;
                 if (t->row_of[row->node[k]] < 0) {
                     c->node[c->nodes].body = i;
                     c->node[c->nodes].node = row->node[k];
@@ -32840,35 +32989,54 @@ static sfem_status sfemi_contact_assemble(sfem_contact *c, sfemi_island island, 
                 row->at[k] = t->row_of[row->node[k]];
             }
         for (j = first; j < c->nodes; ++j) t->row_of[c->node[j].node] = -1;
-        g += 9 * (size_t)(c->nodes - first) * (size_t)(c->nodes - first);
     }
-    SFEMI_CONTACT_ROOM(c, c->g, c->g_room, g);
-    for (i = 0, g = 0; i < c->nodes;) {
+    for (i = 0; i < c->nodes;) {
         sfem_int n = i;
         while (n < c->nodes && c->node[n].body == c->node[i].body) ++n;
         SFEMI_TRY(sfemi_columns_get(c, c->touch + c->node[i].body, err));
-        SFEMI_TRY(sfemi_contact_gather(c, c->touch + c->node[i].body, i, n - i, c->g + g, err));
-        g += 9 * (size_t)(n - i) * (size_t)(n - i);
+        SFEMI_TRY(sfemi_contact_gather(c, c->touch + c->node[i].body, i, n - i, err));
         i = n;
     }
 done:
     return status;
 }
 
+/* v += the columns g [3][n] times l, n a multiple of 4. */
+static void sfemi_contact_columns_0(size_t n, const float *SFEMI_RESTRICT g, const sfem_real l[3], sfem_real *SFEMI_RESTRICT v)
+{
+    size_t i;
+    for (i = 0; i < n; ++i)
+        v[i] += (sfem_real)g[i] * l[0] + (sfem_real)g[n + i] * l[1] + (sfem_real)g[2 * n + i] * l[2];
+}
+
+#if SFEMI_X86
+SFEMI_TARGET_1 static void sfemi_contact_columns_1(size_t n, const float *g, const sfem_real l[3], sfem_real *v)
+{
+    const __m256d a = _mm256_set1_pd(l[0]), b = _mm256_set1_pd(l[1]), c = _mm256_set1_pd(l[2]);
+    size_t i;
+    for (i = 0; i < n; i += 4) {
+        __m256d sum = _mm256_loadu_pd(v + i);
+        sum = _mm256_fmadd_pd(_mm256_cvtps_pd(_mm_loadu_ps(g + i)), a, sum);
+        sum = _mm256_fmadd_pd(_mm256_cvtps_pd(_mm_loadu_ps(g + n + i)), b, sum);
+        sum = _mm256_fmadd_pd(_mm256_cvtps_pd(_mm_loadu_ps(g + 2 * n + i)), c, sum);
+        _mm256_storeu_pd(v + i, sum);
+    }
+}
+#define sfemi_contact_columns_2 sfemi_contact_columns_1
+#endif
+
+typedef void (*sfemi_contact_columns)(size_t n, const float *g, const sfem_real l[3], sfem_real *v);
+
 /* v~ += G turn^T dl. */
-static void sfemi_contact_spread(const sfem_contact *c, const sfemi_row *row, const sfem_real dl[3])
+static void sfemi_contact_spread(const sfem_contact *c, sfemi_contact_columns add, const sfemi_row *row, const sfem_real dl[3])
 {
     int k, a;
-    size_t i;
     for (k = 0; k < row->parts; ++k) {
         const sfemi_contact_node *node = c->node + row->at[k];
-        const size_t n3 = 3 * (size_t)node->count;
-        const float *SFEMI_RESTRICT g = node->g;
-        sfem_real *SFEMI_RESTRICT v = c->v + 3 * (size_t)node->first, l[3];
+        sfem_real l[3];
         for (a = 0; a < 3; ++a)
             l[a] = row->rotated[k][a] * dl[0] + row->rotated[k][3 + a] * dl[1] + row->rotated[k][6 + a] * dl[2];
-        for (i = 0; i < n3; ++i)
-            v[i] += (sfem_real)g[i] * l[0] + (sfem_real)g[n3 + i] * l[1] + (sfem_real)g[2 * n3 + i] * l[2];
+        add(sfemi_contact_stride(node->count), node->g, l, c->v + 3 * (size_t)node->first);
     }
 }
 
@@ -32896,6 +33064,10 @@ static void sfemi_contact_solve_row(const sfemi_row *row, const sfem_real u[3], 
 /* Sweeps over `count` rows, whose nodes have the velocities c->v, impulses row->l, until these change little. */
 static void sfemi_contact_sweep(sfem_contact *c, sfem_int count)
 {
+#define SFEMI_CONTACT_COLUMNS(path) sfemi_contact_columns_##path
+    static const sfemi_contact_columns columns[] = SFEMI_PATHS(SFEMI_CONTACT_COLUMNS);
+#undef SFEMI_CONTACT_COLUMNS
+    const sfemi_contact_columns add = columns[sfemi_path()];
     sfem_int sweep, i;
     int k, a;
     ++c->info.systems;
@@ -32911,7 +33083,7 @@ static void sfemi_contact_sweep(sfem_contact *c, sfem_int count)
             sfemi_contact_solve_row(row, u, l);
             sfemi_sub3(l, row->l, dl);
             if (dl[0] == 0 && dl[1] == 0 && dl[2] == 0) continue;
-            sfemi_contact_spread(c, row, dl);
+            sfemi_contact_spread(c, add, row, dl);
             memcpy(row->l, l, sizeof l);
             change += row->d[0] * sfemi_dot3(dl, dl);
         }
@@ -32930,7 +33102,7 @@ static sfem_real sfemi_contact_span(const sfemi_touch *t)
 }
 
 /* x = J^T of the rows' `by`: their change of impulses in the last system, or the impulses. */
-static void sfemi_contact_transpose(const sfemi_touch *t, int change, sfem_real *x)
+static void sfemi_contact_transpose(const sfem_contact *contact, const sfemi_touch *t, int change, sfem_real *x)
 {
     sfem_int i;
     int k, c;
@@ -32938,7 +33110,7 @@ static void sfemi_contact_transpose(const sfemi_touch *t, int change, sfem_real 
     for (i = 0; i < t->rows; ++i) {
         const sfemi_row *row = t->row + i;
         for (k = 0; k < row->parts; ++k)
-            for (c = 0; c < 3; ++c)
+            for (c = 0; c < 3 && row->body[k] == (sfem_int)(t - contact->touch); ++c)
                 x[3 * (size_t)row->node[k] + (size_t)c] +=
                     row->weight[k] * (change ? row->change[c] : row->impulse[c]);
     }
@@ -33067,7 +33239,7 @@ static void sfemi_contact_take_change(sfem_contact *c, sfemi_touch *t, sfem_real
             t->row[i].change[k] *= part;
             t->row[i].impulse[k] += t->row[i].change[k];
         }
-    sfemi_contact_transpose(t, 1, c->x);
+    sfemi_contact_transpose(c, t, 1, c->x);
     sfemi_contact_book(t, c->x);
 }
 
@@ -33112,7 +33284,7 @@ static sfem_status sfemi_contact_begin(sfem_contact *c, sfemi_touch *t, sfem_rea
     if (status != SFEM_OK || !t->rows) return status;
     for (i = 0; i < t->rows; ++i)
         for (k = 0; k < 3; ++k) t->row[i].impulse[k] = sfemi_contact_span(t) * t->row[i].force[k];
-    sfemi_contact_transpose(t, 0, c->x);
+    sfemi_contact_transpose(c, t, 0, c->x);
     for (at = 0; at < 3 * (size_t)b->model->mesh.nodes; ++at) b->rhs[at] += c->x[at] / sfemi_contact_span(t);
     if (!b->scheme.rotates) return status; /* else `added` finds it in the right side */
     if (!b->kicked) memset(b->kick, 0, 3 * (size_t)b->model->mesh.nodes * sizeof *b->kick);
@@ -33145,7 +33317,7 @@ static sfem_status sfemi_contact_try(sfem_contact *c, sfem_int index, sfem_error
         if (!t->rows || (round > 0 && !found && !(t->change > sfemi_contact_negligible(c, t)))) break;
         SFEMI_TRY(sfemi_contact_press(c, island, 1, err));
         if (!(t->change > sfemi_contact_negligible(c, t))) break;
-        sfemi_contact_transpose(t, 1, c->x);
+        sfemi_contact_transpose(c, t, 1, c->x);
         memcpy(c->y, c->x, n * sizeof *c->y);
         sfemi_contact_respond(c, t, c->y);
         response = sfemi_contact_response(t, NULL, c->y);
@@ -33244,7 +33416,7 @@ static int sfemi_contact_redirect(sfem_contact *c, sfemi_touch *t)
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     sfem_real excess;
     size_t i;
-    sfemi_contact_transpose(t, 1, c->x);
+    sfemi_contact_transpose(c, t, 1, c->x);
     for (i = 0; i < n; ++i) {
         c->y[i] = b->mask[i / 3] >> (i % 3) & 1 ? 0 : over * c->x[i];
         c->w[i] = -g->dir[i];
@@ -33406,7 +33578,7 @@ static sfem_status sfemi_contact_separate(sfem_contact *c, sfemi_island island, 
             sfem_real part;
             size_t at;
             if (t->done) continue;
-            sfemi_contact_transpose(t, 1, c->x);
+            sfemi_contact_transpose(c, t, 1, c->x);
             memcpy(c->y, c->x, n * sizeof *c->y);
             sfemi_contact_respond(c, t, c->y);
             part = 1 / fmax(1.0, sfemi_contact_response(t, NULL, c->y));
@@ -33755,8 +33927,8 @@ static int sfemi_contact_find_impact(sfem_contact *c, sfemi_touch *t)
         change += more;
         size += now;
     }
-    if (!(change > 1e-3 * size)) return 0;
-    sfemi_contact_transpose(t, 1, c->x);
+    if (!(change > 0.1 * size)) return 0; /* it goes on as a force does */
+    sfemi_contact_transpose(c, t, 1, c->x);
     sfemi_contact_respond(c, t, c->x);
     for (i = 0; i < 3 * b->model->mesh.nodes; ++i) c->x[i] /= b->step.d;
     return 1;
@@ -33924,6 +34096,7 @@ static sfem_status sfemi_contact_solve(sfem_contact *c, sfem_real h, sfem_error 
         if (status != SFEM_OK) return status;
         if (t->rests) continue;
         SFEMI_TRY(sfemi_contact_begin(c, t, h, err));
+        SFEMI_TRY(sfemi_columns_expect(c, t, h, err));
         SFEMI_TRY(sfemi_contact_try(c, i, err));
     }
     island.count = 1;
@@ -33947,6 +34120,7 @@ SFEM_DEF sfem_status sfem_contact_step(sfem_contact *c, sfem_real h, sfem_error 
     status = sfemi_contact_check_step(c, h, err);
     if (status != SFEM_OK) return status;
     ++c->step;
+    c->early = c->def.column_flops;
     c->info.sweeps = c->info.systems = c->info.pushed = c->info.rejected = 0;
     for (i = 0; i < c->obstacles; ++i) {
         sfemi_obstacle *o = c->obstacle + i;
@@ -33993,6 +34167,7 @@ SFEM_DEF sfem_contact_def sfem_default_contact_def(void)
     d.push_speed = 0.5;
     d.max_contacts = 4096;
     d.cache_bytes = (size_t)256 << 20;
+    d.column_flops = 3e7;
     return d;
 }
 
@@ -34054,6 +34229,8 @@ SFEM_DEF sfem_status sfem_contact_create(const sfem_contact_def *def, sfem_conta
         return sfemi_fail(err, SFEM_BAD_ARGUMENT,
                           "push_share is %g, push_speed %g: the first must be 0 to 1, the second >= 0", d->push_share,
                           d->push_speed);
+    if (!(sfemi_finite(d->column_flops) && d->column_flops >= 0))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "column_flops is %g, must be >= 0", d->column_flops);
     SFEMI_NEW(sfem_contact, c, &d->allocator, 1);
     c->def = *d;
     *out = c;
@@ -34094,6 +34271,8 @@ static void sfemi_contact_free_touch(sfem_contact *c, sfemi_touch *t)
     sfemi_delete(al, t->x1);
     sfemi_delete(al, t->row);
     sfemi_delete(al, t->owed);
+    sfemi_delete(al, t->g);
+    sfemi_delete(al, t->g_node);
     memset(t, 0, sizeof *t);
 }
 
@@ -34113,7 +34292,6 @@ SFEM_DEF void sfem_contact_free(sfem_contact *c)
     sfemi_delete(&al, c->v);
     sfemi_delete(&al, c->v0);
     sfemi_delete(&al, c->y);
-    sfemi_delete(&al, c->g);
     sfemi_delete(&al, c->w);
     sfemi_delete(&al, c->x);
     sfemi_delete(&al, c->rhs);
@@ -34399,18 +34577,348 @@ SFEM_DEF sfem_contact_info sfem_contact_get_info(const sfem_contact *c)
     SFEM_ASSERT(c);
     info = c->info;
     info.bytes = sizeof *c + c->column_bytes + (c->vector_room + c->x_room + c->y_room + c->v0_room + c->rhs_room + c->work_room + c->v_room +
-                 c->lambda_room) * sizeof(sfem_real) + c->g_room * sizeof(float) +
+                 c->lambda_room) * sizeof(sfem_real) +
                  (size_t)c->obstacle_room * sizeof *c->obstacle + (size_t)c->touch_room * sizeof *c->touch +
                  (size_t)c->point_room * sizeof *c->point + (size_t)c->list_room * sizeof(void *) +
                  (size_t)c->node_room * sizeof *c->node;
     for (i = 0; i < c->touches; ++i) {
         const sfemi_touch *t = c->touch + i;
         if (!t->used) continue;
+        info.bytes += t->g_room * sizeof(float) + (size_t)t->g_node_room * sizeof(sfem_int);
         info.bytes += (size_t)t->room * sizeof *t->row + (size_t)t->owed_room * sizeof(sfem_real) +
                       6 * (size_t)t->nodes * sizeof(sfem_real) +
                       (size_t)(t->nodes + 3 * t->triangles + t->body->model->mesh.nodes) * sizeof(sfem_int);
     }
     return info;
+}
+
+/* ---- the saved state: see >>saved ---- */
+
+typedef struct sfemi_contact_head {
+    sfemi_saved_head saved;
+    sfem_int bodies, obstacles, rows, room;
+    sfem_real work, moved;
+} sfemi_contact_head;
+
+typedef struct sfemi_saved_obstacle {
+    sfem_real position[3], rotation[9], velocity[3], angular[3];
+    sfem_int stirred, room;
+} sfemi_saved_obstacle;
+
+typedef struct sfemi_saved_row {
+    sfem_real weight[3], local_place[3], local_normal[3], axes[9], impulse[3], force[3], position[3], gap;
+    sfem_int body, feature, obstacle, pushed;
+} sfemi_saved_row;
+
+typedef struct sfemi_contact_saved {
+    sfemi_contact_head *head;
+    sfemi_saved_obstacle *obstacle;
+    sfemi_saved_row *row;
+} sfemi_contact_saved;
+
+typedef struct sfemi_contact_shape {
+    const sfem_contact *contact;
+    sfem_int obstacles, rows;
+} sfemi_contact_shape;
+
+static int sfemi_contact_check_head(const void *shape, const char *at, size_t count)
+{
+    const sfem_contact *c = ((const sfemi_contact_shape *)shape)->contact;
+    sfemi_contact_head head;
+    (void)count;
+    memcpy(&head, at, sizeof head);
+    return head.bodies == c->touches && head.obstacles == c->obstacles && head.rows >= 0 &&
+           head.rows <= c->def.max_contacts && sfemi_finite(head.work) && sfemi_finite(head.moved);
+}
+
+static int sfemi_contact_check_obstacles(const void *shape, const char *at, size_t count)
+{
+    const sfem_contact *c = ((const sfemi_contact_shape *)shape)->contact;
+    size_t i;
+    for (i = 0; i < count; ++i) {
+        sfemi_saved_obstacle o;
+        memcpy(&o, at + i * sizeof o, sizeof o);
+        if (!c->obstacle[i].used) continue;
+        if (sfemi_obstacle_check_pose(o.position, o.rotation, NULL) != SFEM_OK || !sfemi_all_finite(o.velocity, 3) ||
+            !sfemi_all_finite(o.angular, 3) || o.stirred < 0 || o.stirred > 1)
+            return 0;
+    }
+    return 1;
+}
+
+/* The place of a node in the list of those that may touch, which is sorted, or -1. */
+static sfem_int sfemi_contact_find_node(const sfemi_touch *t, sfem_int node)
+{
+    sfem_int low = 0, high = t->nodes;
+    while (low < high) {
+        const sfem_int middle = low + (high - low) / 2;
+        if (t->node[middle] < node) low = middle + 1;
+        else high = middle;
+    }
+    return low < t->nodes && t->node[low] == node ? low : -1;
+}
+
+static int sfemi_contact_check_rows(const void *shape, const char *at, size_t count)
+{
+    const sfem_contact *c = ((const sfemi_contact_shape *)shape)->contact;
+    size_t i;
+    for (i = 0; i < count; ++i) {
+        const sfemi_touch *t;
+        sfemi_saved_row row;
+        sfem_int face;
+        memcpy(&row, at + i * sizeof row, sizeof row);
+        if (row.body < 0 || row.body >= c->touches || !c->touch[row.body].used || row.obstacle < 0 ||
+            row.obstacle >= c->obstacles || !c->obstacle[row.obstacle].used || row.pushed < 0 || row.pushed > 1)
+            return 0;
+        t = c->touch + row.body;
+        face = row.feature - t->body->model->mesh.nodes;
+        if (row.feature < 0 || face >= t->triangles || (face < 0 && sfemi_contact_find_node(t, row.feature) < 0)) return 0;
+        if (!sfemi_all_finite(row.weight, offsetof(sfemi_saved_row, body) / sizeof(sfem_real))) return 0;
+        if (!(fabs(sfemi_dot3(row.local_normal, row.local_normal) - 1) < 1e-6)) return 0;
+    }
+    return 1;
+}
+
+static const sfemi_saved_array sfemi_contact_array[] = {
+    SFEMI_SAVED(sfemi_contact_saved, head, 1, SFEMI_SAVED_ONE, SFEMI_SAVED_ONE, sfemi_contact_check_head, "its head"),
+    SFEMI_SAVED(sfemi_contact_saved, obstacle, 1, offsetof(sfemi_contact_shape, obstacles), SFEMI_SAVED_ONE,
+                sfemi_contact_check_obstacles, "an obstacle"),
+    SFEMI_SAVED(sfemi_contact_saved, row, 1, offsetof(sfemi_contact_shape, rows), SFEMI_SAVED_ONE,
+                sfemi_contact_check_rows, "a contact"),
+};
+static const sfemi_saved_kind sfemi_contact_kind = SFEMI_SAVED_KIND("sfemtoch", "state of contacts", 1, sfemi_contact_array);
+
+static sfemi_contact_shape sfemi_contact_shape_of(const sfem_contact *c, sfem_int rows)
+{
+    sfemi_contact_shape shape;
+    shape.contact = c;
+    shape.obstacles = c->obstacles;
+    shape.rows = rows;
+    return shape;
+}
+
+/* Of the bodies and obstacles that a state belongs to. */
+static uint64_t sfemi_contact_key(const sfem_contact *c)
+{
+    uint64_t hash = SFEMI_HASH;
+    sfem_int i;
+    for (i = 0; i < c->touches; ++i) {
+        const sfemi_touch *t = c->touch + i;
+        const int64_t shape[4] = {t->used, t->nodes, t->triangles, t->used ? t->body->model->mesh.nodes : 0};
+        hash = sfemi_hash(hash, shape, sizeof shape);
+    }
+    for (i = 0; i < c->obstacles; ++i) {
+        const sfemi_obstacle *o = c->obstacle + i;
+        const int64_t shape[2] = {o->used, (int64_t)o->def.kind};
+        hash = sfemi_hash(sfemi_hash(hash, shape, sizeof shape), o->def.size, sizeof o->def.size);
+    }
+    return hash;
+}
+
+SFEM_DEF size_t sfem_contact_state_size(const sfem_contact *c)
+{
+    sfemi_contact_shape shape;
+    SFEM_ASSERT(c);
+    shape = sfemi_contact_shape_of(c, c->rows);
+    return sfemi_saved_lay_out(&sfemi_contact_kind, &shape, NULL, NULL);
+}
+
+static void sfemi_contact_save_row(const sfemi_row *row, sfemi_saved_row *out)
+{
+    int k;
+    memset(out, 0, sizeof *out);
+    out->body = row->body[0];
+    out->feature = row->feature;
+    out->obstacle = row->obstacle;
+    out->pushed = row->pushed;
+    for (k = 0; k < 3; ++k) {
+        out->weight[k] = k < row->parts ? row->weight[k] : 0;
+        out->local_place[k] = row->local_place[k];
+        out->local_normal[k] = row->local_normal[k];
+        out->impulse[k] = row->impulse[k];
+        out->force[k] = row->force[k];
+        out->position[k] = row->position[k];
+    }
+    memcpy(out->axes, row->axes, sizeof out->axes);
+    out->gap = row->gap;
+}
+
+SFEM_DEF void sfem_contact_save_state(const sfem_contact *c, void *memory)
+{
+    sfemi_contact_shape shape;
+    sfemi_contact_head head;
+    char *to = (char *)memory;
+    sfem_int i, k;
+    SFEM_ASSERT(c && memory);
+    shape = sfemi_contact_shape_of(c, c->rows);
+    memset(memory, 0, sfem_contact_state_size(c));
+    memset(&head, 0, sizeof head);
+    memcpy(head.saved.magic, sfemi_contact_kind.magic, sizeof head.saved.magic);
+    head.saved.version = sfemi_contact_kind.version;
+    head.saved.order = SFEMI_SAVED_ORDER;
+    head.saved.size = sfem_contact_state_size(c);
+    head.saved.key = sfemi_contact_key(c);
+    head.bodies = c->touches;
+    head.obstacles = c->obstacles;
+    head.rows = c->rows;
+    head.work = c->info.work;
+    head.moved = c->info.moved;
+    memcpy(to, &head, sizeof head);
+    to += sfemi_saved_bytes(sfemi_contact_array, &shape);
+    for (i = 0; i < c->obstacles; ++i) {
+        const sfemi_obstacle *o = c->obstacle + i;
+        sfemi_saved_obstacle out;
+        memset(&out, 0, sizeof out);
+        memcpy(out.position, o->def.position, sizeof out.position);
+        memcpy(out.rotation, o->def.rotation, sizeof out.rotation);
+        memcpy(out.velocity, o->velocity, sizeof out.velocity);
+        memcpy(out.angular, o->angular, sizeof out.angular);
+        out.stirred = o->stirred;
+        memcpy(to + (size_t)i * sizeof out, &out, sizeof out);
+    }
+    to += sfemi_saved_bytes(sfemi_contact_array + 1, &shape);
+    for (i = 0; i < c->touches; ++i)
+        for (k = 0; k < c->touch[i].rows; ++k, to += sizeof(sfemi_saved_row)) {
+            sfemi_saved_row out;
+            sfemi_contact_save_row(c->touch[i].row + k, &out);
+            memcpy(to, &out, sizeof out);
+        }
+    sfemi_saved_seal(memory);
+}
+
+static void sfemi_contact_load_row(const sfem_contact *c, const sfemi_touch *t, const sfemi_saved_row *from, sfemi_row *row)
+{
+    const sfem_int face = from->feature - t->body->model->mesh.nodes;
+    int k;
+    memset(row, 0, sizeof *row);
+    row->feature = from->feature;
+    row->obstacle = from->obstacle;
+    row->parts = face < 0 ? 1 : 3;
+    row->pushed = from->pushed;
+    for (k = 0; k < row->parts; ++k) {
+        row->body[k] = from->body;
+        row->node[k] = face < 0 ? from->feature : t->tri[3 * (size_t)face + (size_t)k];
+        row->weight[k] = from->weight[k];
+    }
+    memcpy(row->local_place, from->local_place, sizeof row->local_place);
+    memcpy(row->local_normal, from->local_normal, sizeof row->local_normal);
+    memcpy(row->axes, from->axes, sizeof row->axes);
+    memcpy(row->impulse, from->impulse, sizeof row->impulse);
+    memcpy(row->force, from->force, sizeof row->force);
+    memcpy(row->position, from->position, sizeof row->position);
+    row->gap = from->gap;
+    sfemi_contact_rate(c, t, row);
+}
+
+SFEM_DEF sfem_status sfem_contact_load_state(sfem_contact *c, const void *memory, size_t bytes, sfem_error *err)
+{
+    const char *at = (const char *)memory;
+    sfemi_contact_shape shape;
+    sfemi_contact_head head;
+    sfem_status status;
+    sfem_int i, k;
+    SFEM_ASSERT(c && memory);
+    SFEMI_TRY(sfemi_saved_open(&sfemi_contact_kind, NULL, memory, bytes, err));
+    memcpy(&head, memory, sizeof head);
+    if (head.saved.key != sfemi_contact_key(c))
+        return sfemi_fail(err, SFEM_MISMATCH, "the state of contacts is of other bodies or obstacles");
+    shape = sfemi_contact_shape_of(c, head.rows);
+    SFEMI_TRY(sfemi_saved_fault(&sfemi_contact_kind, &shape, memory, bytes, err));
+    for (i = 0; i < c->touches; ++i) SFEMI_CONTACT_LIST(c, c->touch[i].row, c->touch[i].room, head.rows);
+    SFEMI_CONTACT_LIST(c, c->point, c->point_room, head.rows + 1);
+    SFEMI_CONTACT_LIST(c, c->list, c->list_room, head.rows + 1);
+    at += sfemi_saved_bytes(sfemi_contact_array, &shape);
+    for (i = 0; i < c->obstacles; ++i) {
+        sfemi_obstacle *o = c->obstacle + i;
+        sfemi_saved_obstacle from;
+        memcpy(&from, at + (size_t)i * sizeof from, sizeof from);
+        memcpy(o->def.position, from.position, sizeof from.position);
+        memcpy(o->def.rotation, from.rotation, sizeof from.rotation);
+        memcpy(o->velocity, from.velocity, sizeof from.velocity);
+        memcpy(o->angular, from.angular, sizeof from.angular);
+        memcpy(o->to, from.position, sizeof from.position);
+        o->stirred = from.stirred;
+    }
+    at += sfemi_saved_bytes(sfemi_contact_array + 1, &shape);
+    for (i = 0; i < c->touches; ++i) c->touch[i].rows = 0;
+    for (k = 0; k < head.rows; ++k, at += sizeof(sfemi_saved_row)) {
+        sfemi_saved_row from;
+        sfemi_touch *t;
+        memcpy(&from, at, sizeof from);
+        t = c->touch + from.body;
+        sfemi_contact_load_row(c, t, &from, t->row + t->rows++);
+    }
+    c->rows = head.rows;
+    c->info.work = head.work;
+    c->info.moved = head.moved;
+    return sfemi_contact_report(c, err);
+done:
+    return status;
+}
+
+/* ---- contact of the caller's own ---- */
+
+static sfem_status sfemi_body_check_own_contact(const sfem_body *b, sfem_int node, sfem_error *err)
+{
+    if (!b->scheme.mean || b->scheme.lagging)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "a body with contact steps by SFEM_PQR, SFEM_CENTRAL, SFEM_GUI or SFEM_CHANG");
+    return sfemi_body_check_node(b, node, NULL, "impulse", err);
+}
+
+SFEM_DEF sfem_status sfem_body_compliance(sfem_body *b, sfem_int node, sfem_real *column, sfem_error *err)
+{
+    const sfem_factor *f;
+    sfem_real *x = NULL, *work = NULL;
+    sfem_status status;
+    sfem_int nodes, i;
+    size_t n;
+    int a, k;
+    SFEM_ASSERT(b && column);
+    nodes = b->model->mesh.nodes;
+    n = 3 * (size_t)nodes;
+    SFEMI_TRY(sfemi_body_check_own_contact(b, node, err));
+    f = b->factor ? sfemi_body_active(b) : NULL;
+    if (!f) return sfemi_fail(err, SFEM_NOT_PREPARED, "the body has no factor yet: prepare it for its step first");
+    SFEMI_NEW(sfem_real, x, &b->allocator, 3 * n);
+    SFEMI_NEW(sfem_real, work, &b->allocator, sfemi_factor_work_size(f, 3));
+    for (a = 0; a < 3; ++a)
+        if (!(f->mask[node] >> a & 1)) x[(size_t)a * n + 3 * (size_t)node + (size_t)a] = 1;
+    sfemi_factor_solve(f, nodes, 3, x, x, work, &b->exec);
+    for (i = 0; i < nodes; ++i)
+        for (k = 0; k < 3; ++k)
+            for (a = 0; a < 3; ++a)
+                column[9 * (size_t)i + (size_t)(3 * k + a)] = x[(size_t)a * n + 3 * (size_t)i + (size_t)k];
+done:
+    sfemi_delete(&b->allocator, x);
+    sfemi_delete(&b->allocator, work);
+    return status;
+}
+
+SFEM_DEF void sfem_body_frame(const sfem_body *b, sfem_int node, sfem_real q[9])
+{
+    SFEM_ASSERT(b && q && node >= 0 && node < b->model->mesh.nodes);
+    memcpy(q, b->scheme.rotates ? b->state.frame + 9 * (size_t)node : sfemi_contact_no_frame, 9 * sizeof *q);
+}
+
+SFEM_DEF void sfem_body_free_velocity(const sfem_body *b, sfem_int node, sfem_real w[3])
+{
+    int c;
+    SFEM_ASSERT(b && w && node >= 0 && node < b->model->mesh.nodes && b->phase == SFEMI_SOLVED && b->scheme.mean);
+    for (c = 0; c < 3; ++c) {
+        const size_t at = 3 * (size_t)node + (size_t)c;
+        w[c] = b->scheme.rotates ? b->safeguard.w[at] : sfemi_pqr_base(b)[at] + b->step.d * b->acc[at];
+    }
+}
+
+SFEM_DEF sfem_status sfem_body_apply_impulses(sfem_body *b, sfem_error *err)
+{
+    sfem_status status;
+    SFEM_ASSERT(b);
+    status = sfemi_body_check_own_contact(b, 0, err);
+    if (status != SFEM_OK) return status;
+    if (b->phase != SFEMI_SOLVED)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "impulses are applied between sfem_body_solve and _finish");
+    return b->is_late ? sfemi_body_solve_again(b, err) : SFEM_OK;
 }
 #endif /* SFEM_NO_CONTACT */
 

@@ -972,7 +972,7 @@ static void draw(const run *r)
     const int across = r->frames > 1 ? 3 : 1, down = (r->frames + across - 1) / across;
     ex_picture *p = ex_picture_new(across > 1 ? 1500 : 1000, across > 1 ? 420 * down : 700);
     ex_style style = ex_default_style();
-    double lower[3], upper[3], low, high;
+    double lower[3] = {0, 0, 0}, upper[3] = {0, 0, 0}, low, high;
     double *value[FRAMES];
     int k;
     p->bar = !r->breaks && !r->embed;
