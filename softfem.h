@@ -143,10 +143,11 @@
  *     SFEM_MINIMAL       meshes without all of these, but for those that an SFEM_ENABLE_ switch names:
  *     SFEM_ENABLE_MESHIO, SFEM_ENABLE_MESHER, SFEM_ENABLE_EMBED, SFEM_ENABLE_MODEL, SFEM_ENABLE_BODY (with models),
  *     SFEM_ENABLE_DAMAGE and SFEM_ENABLE_NEWTON (with bodies), SFEM_ENABLE_SMOOTH and SFEM_ENABLE_MODES (with models),
- *     SFEM_ENABLE_REDUCED, SFEM_ENABLE_LINK (with reduced models). SFEM_ENABLE_REDUCED alone plays reduced models that were saved; with
- *     SFEM_ENABLE_MODES it makes them
+ *     SFEM_ENABLE_REDUCED, SFEM_ENABLE_LINK (with reduced models). SFEM_ENABLE_REDUCED alone plays reduced models that
+ *     were saved; with SFEM_ENABLE_MODES it makes them
  *
- * LIMITS. 4-node tetrahedra: linear ones, which lock, or smooth ones, which do not (sfem_tet) but cannot break yet. Node and tet counts below 2^31. No contact, no remeshing.
+ * LIMITS. 4-node tetrahedra: linear ones, which lock, or smooth ones, which do not (sfem_tet). Node and tet counts below
+ * 2^31. No contact, no remeshing.
  */
 #ifndef SOFTFEM_H
 #define SOFTFEM_H
@@ -1120,7 +1121,9 @@ typedef enum sfem_mass { SFEM_MASS_LUMPED, SFEM_MASS_CONSISTENT } sfem_mass;
  *                    iteration. A linear body's step of (p,q,r) is one solve with K0: unconditionally stable, with
  *                    twice the error in time of K itself, which SFEM_NEWMARK takes. In steps of (p,q,r) of laws that
  *                    rotate nu counts as 0.48 at most (sfem_body_info).
- *                    Not with damage or KR-alpha. Creation takes about 4 us a tet, the structures 250 bytes a tet
+ *                    In bodies that break (not of SFEM_LINEAR) nodes of damaged tets average no more and their patches
+ *                    lose lambda, so that K <= K0 remains: cracks lie in a layer of linear tets with nu = 0. Not
+ *                    with KR-alpha. Creation takes about 4 us a tet, the structures 250 bytes a tet
  *                    (measured) */
 typedef enum sfem_tet { SFEM_TET_LINEAR, SFEM_TET_SMOOTH } sfem_tet;
 
@@ -1551,12 +1554,11 @@ typedef struct sfem_body_def {
                                * comes, even if it makes energy */
     const struct sfem_damage_def *damage; /* the body can break (>>api-damage); (p,q,r) and central differences, lumped mass.
                                * NULL, the default: it cannot, at no cost. Read by create only */
-    sfem_real accuracy;       /* (p,q,r) of nonlinear laws, in (0, 1]. A step is corrected until one
-                               * more correction is expected to gain less than this part of the energy in motion (the
-                               * largest recent kinetic energy). 1e-6, the default: within a factor of two of the
-                               * errors of full Newton. 1e-4: a third fewer solves. 1: one solve a step, no
-                               * corrections. 1e-20: to rounding (velocities are off by the square root, since it is an
-                               * energy) */
+    sfem_real accuracy;       /* (p,q,r) of nonlinear laws, in (0, 1]. A step is corrected until one more correction is
+                               * expected to gain less than this part of the energy in motion (the largest recent
+                               * kinetic energy). 1e-6, the default: within a factor of two of the errors of full
+                               * Newton. 1e-4: a third fewer solves. 1: one solve a step, no corrections. 1e-20: to
+                               * rounding (velocities are off by the square root, since it is an energy) */
     sfem_real dissipation;    /* of corrected steps, 0 to 1/3: HHT's alpha. 0.1, the default, damps what a step does not
                                * resolve. 0: Newmark(1/4, 1/2), conservative */
     sfem_real refactorise;    /* (p,q,r) of nonlinear laws and of damage: the work a step on a factor of the present
