@@ -282,14 +282,14 @@ static double rms(const double *a, const double *b)
  * trapezoidal rule: by one solve, by default, and without dissipation to a higher accuracy. */
 static void a_swinging_bar_is_nearly_as_good_as_by_newton(void **state)
 {
-    static const double young[4] = {1e6, 5e5, 2e5, 1e5};
+    static const double young[3] = {2e5, 1e6, 1e5};
     static const int steps[3] = {1, 4, 16};
     static const double zero[3 * SAMPLES] = {0};
     double reference[3 * SAMPLES], path[3 * SAMPLES], error[4];
     size_t i, j;
     int k;
     (void)state;
-    for (i = 0; i < TEST_COUNT(young); ++i) {
+    for (i = 0; i < (TEST_SANITIZED ? 1 : TEST_COUNT(young)); ++i) {
         bar b = make_bar(10, 2, young[i], 0);
         sfem_body_def def = sfem_default_body_def();
         double amplitude;

@@ -540,7 +540,7 @@ static void what_lanczos_missed_is_found_by_the_count(void **state)
 static void a_cut_cluster_is_told(void **state)
 {
     const double size[3] = {6, 1, 1};
-    body b = body_bar(24, 4, 4, size, 0.3, SFEM_MASS_LUMPED);
+    body b = body_bar(12, 2, 2, size, 0.3, SFEM_MASS_LUMPED);
     sfem_modes_def def = sfem_default_modes_def();
     sfem_modes m;
     int dense;
@@ -729,7 +729,7 @@ static void partial_pins_leave_what_they_do_not_hold(void **state)
     for (k = 0; k < TEST_COUNT(cases); ++k) {
         int mass;
         for (mass = 0; mass < 2; ++mass) {
-            body b = body_bar(8, 4, 4, size, 0.3, mass ? SFEM_MASS_CONSISTENT : SFEM_MASS_LUMPED);
+            body b = body_bar(6, 3, 3, size, 0.3, mass ? SFEM_MASS_CONSISTENT : SFEM_MASS_LUMPED);
             unsigned char *axes = (unsigned char *)malloc((size_t)b.mesh.nodes);
             sfem_modes_def def = sfem_default_modes_def();
             sfem_modes m;

@@ -728,7 +728,9 @@ static void noisy_hands_are_bounded_on_bars(void **state)
         for (l = 0; l < 3; ++l)
             for (y = 0; y < 3; ++y)
                 for (limit = 0; limit < 2; ++limit) {
-                    scene s = bar(6, 2, rubber(1));
+                    scene s;
+                    if (TEST_SANITIZED && y != l) continue;
+                    s = bar(6, 2, rubber(1));
                     a_noisy_hand(&s.mesh, laws[l], young[y], m, limit);
                     drop(&s);
                 }
@@ -741,7 +743,7 @@ static void noisy_hands_are_bounded_on_unstructured_meshes(void **state)
     sfem_error err;
     int m, y, seed;
     (void)state;
-    for (seed = 1; seed <= 2; ++seed) {
+    for (seed = TEST_SANITIZED ? 2 : 1; seed <= 2; ++seed) {
         assert_ok(body_scattered(700, 0.001, (uint64_t)seed, &mesh, &err), err);
         for (m = 0; m < METHODS - 1; m += 3) /* (p,q,r), HHT, KR-alpha */
             for (y = 0; y < 3; ++y) {

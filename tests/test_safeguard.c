@@ -587,8 +587,10 @@ static void violent_runs_keep_their_energy(void **state)
             for (j = 0; j < 2; ++j)
                 for (k = 0; k < 3; ++k) {
                     sfem_body_info info;
-                    const double e = excess(kind, young[i], poisson[j], h[k], k < 2 ? 1 : 0.3,
-                                            exact_body_def(), SFEM_COROTATIONAL, &info);
+                    double e;
+                    if (TEST_SANITIZED && (i + j + k + kind) % 3) continue;
+                    e = excess(kind, young[i], poisson[j], h[k], k < 2 ? 1 : 0.3, exact_body_def(),
+                               SFEM_COROTATIONAL, &info);
                     if (!(e <= 1))
                         fail_msg("scene %d, Y %g, nu %g, h %g: %g scales, %d of %d rejected", kind,
                                  young[i], poisson[j], h[k], e, (int)info.rejected,
@@ -905,7 +907,8 @@ static void knots_come_to_rest(void **state)
             drop(&s);
             continue;
         }
-        run(s.body, h[k], 3000); /* overdamped: its force falls by half in a second */
+        /* the soft one is overdamped: its force falls by half in a second */
+        run(s.body, h[k], k == 0 ? 3000 : k == 1 ? 600 : 1200);
         forces(&s, sfem_body_displacement(s.body), f);
         for (i = 0; i < 3 * s.n; ++i) most = fmax(most, fabs(f[i]));
         print_message(
@@ -1411,7 +1414,7 @@ static void any_number_of_threads_gives_the_same_bits(void **state)
     uint64_t hash[3] = {0, 0, 0};
     int threads, k;
     (void)state;
-    for (threads = 1; threads <= 8; threads += threads < 2 ? 1 : 3)
+    for (threads = 1; threads <= 5; threads += threads == 1 ? 1 : 3) /* 1, 2, 5 */
         for (k = 0; k < 3; ++k) {
             sfem_material m = rubber(1e6);
             sfem_body_def def = eventful();
