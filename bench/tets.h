@@ -28,6 +28,8 @@ typedef struct tets_case {
     sfem_int iterations;
 } tets_case;
 
+static sfem_block_cells tets_cells = SFEM_CELL_6_TETS; /* of tets_open */
+
 static tets_case tets_open(sfem_int nx, sfem_int ny, sfem_int nz, void (*map)(double x[3]),
                            double young, double poisson)
 {
@@ -37,7 +39,7 @@ static tets_case tets_open(sfem_int nx, sfem_int ny, sfem_int nz, void (*map)(do
     sfem_error err;
     sfem_int i;
     memset(&c, 0, sizeof c);
-    bench_must(sfem_mesh_block(cells, size, SFEM_CELL_6_TETS, NULL, &c.mesh, &err), &err);
+    bench_must(sfem_mesh_block(cells, size, tets_cells, NULL, &c.mesh, &err), &err);
     for (i = 0; i < c.mesh.nodes; ++i) map(c.mesh.x + 3 * i);
     sfem_mesh_orient(&c.mesh);
     bench_must(sfem_mesh_surface(&c.mesh, NULL, &c.surface, &err), &err);

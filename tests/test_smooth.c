@@ -1352,14 +1352,9 @@ static void what_bodies_cannot_do_is_refused(void **state)
     sfem_mesh mesh = block(1, 1, 1, 1, SFEM_CELL_6_TETS);
     sfem_model *model = smooth_model(&mesh, smooth_material(SFEM_COROTATIONAL, 0.45));
     sfem_body_def def = sfem_default_body_def();
-    sfem_damage_def damage = sfem_default_damage_def();
     sfem_body *body;
     sfem_error err;
     (void)state;
-    def.damage = &damage;
-    assert_status(sfem_body_create(model, &def, &body, &err), SFEM_BAD_ARGUMENT);
-    assert_names(err, "cannot break");
-    def.damage = NULL;
     def.integrator = SFEM_KR_ALPHA;
     assert_status(sfem_body_create(model, &def, &body, &err), SFEM_BAD_ARGUMENT);
     assert_names(err, "KR-alpha");
