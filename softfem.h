@@ -1122,8 +1122,8 @@ typedef enum sfem_mass { SFEM_MASS_LUMPED, SFEM_MASS_CONSISTENT } sfem_mass;
  *                    twice the error in time of K itself, which SFEM_NEWMARK takes. In steps of (p,q,r) of laws that
  *                    rotate nu counts as 0.48 at most (sfem_body_info).
  *                    In bodies that break (not of SFEM_LINEAR) nodes of damaged tets average no more and their patches
- *                    lose lambda, so that K <= K0 remains: cracks lie in a layer of linear tets with nu = 0. Not
- *                    with KR-alpha. Creation takes about 4 us a tet, the structures 250 bytes a tet
+ *                    lose lambda, so that K <= K0 remains: cracks lie in a layer of linear tets with nu = 0. With
+ *                    KR-alpha of the linear law only. Creation takes about 4 us a tet, the structures 410 bytes a tet
  *                    (measured) */
 typedef enum sfem_tet { SFEM_TET_LINEAR, SFEM_TET_SMOOTH } sfem_tet;
 
@@ -1218,8 +1218,8 @@ SFEM_DEF void sfem_model_multiply_damping(const sfem_model *model, const sfem_re
  *   rotation  [tets][3][3] nearest rotation of each F, I for linear tets; or NULL
  *   inverted  how many tets have det F <= 0; or NULL
  *   work      [sfem_model_work_size] reals
- *   cost      a tet, with AVX2: linear 12 ns, StVK 15, neo-Hookean 20, corotational 24, mixed 19; smooth tets 35, 37
- *             and 40;
+ *   cost      a tet, with AVX2: linear 12 ns, StVK 15, neo-Hookean 20, corotational 24, mixed 19; smooth tets 28, 32
+ *             and 34;
  *             0.7 us for one whose R is almost undetermined. A u that is not finite gives an
  *             energy that is not finite.
  * Allocates nothing. The bits are the same for any number of threads, but differ between vector widths
@@ -17069,7 +17069,10 @@ typedef struct sfemi_smooth {
     sfem_real *weight;         /* [cells] of a star's rotation in that of its node */
     sfem_int *in_start;        /* [nodes+1] entries of a node */
     sfem_int *in_cell;         /* [entries] their cells, ascending, */
-    sfem_int *in_entry;        /* [entries] and places */
+    sfem_int *in_entry;        /* [entries] and places; */
+    sfem_int *in_ring;         /* [entries] of the first star that each neighbour has the node in: the place in ring_l,
+                                * else -1; */
+    sfem_real *in_g;           /* [entries][4] g and the entry of ring_l or 0, in the order in which forces take them */
     sfem_int *ring_start;      /* [nodes+1] neighbours of a node */
     sfem_int *ring;            /* [ring_start[nodes]] */
     sfem_real *ring_l;         /* their entries of the stabilisation's Laplacian, N/m */
@@ -17463,6 +17466,16 @@ static void sfemi_smooth_shapes(sfemi_smooth_maker *m)
     }
 }
 
+/* in_g, from g and ring_l. */
+static void sfemi_smooth_weave(sfemi_smooth *s, sfem_int nodes)
+{
+    sfem_int k;
+    for (k = 0; k < s->in_start[nodes]; ++k) {
+        memcpy(s->in_g + 4 * (size_t)k, s->g + 3 * (size_t)s->in_entry[k], 3 * sizeof *s->g);
+        s->in_g[4 * (size_t)k + 3] = s->in_ring[k] >= 0 ? s->ring_l[s->in_ring[k]] : 0;
+    }
+}
+
 /* The entries of each node, and its neighbours with the stabilisation's Laplacian. */
 static sfem_status sfemi_smooth_transpose(sfemi_smooth_maker *m, sfemi_pool *pool, sfem_error *err)
 {
@@ -17510,6 +17523,18 @@ static sfem_status sfemi_smooth_transpose(sfemi_smooth_maker *m, sfemi_pool *poo
         SFEMI_TAKE(sfem_int, s->ring, pool, at);
         SFEMI_TAKE(sfem_real, s->ring_l, pool, at);
     }
+    SFEMI_TAKE(sfem_int, s->in_ring, pool, s->start[s->cells]);
+    SFEMI_TAKE(sfem_real, s->in_g, pool, 4 * (size_t)s->start[s->cells]);
+    for (i = 0; i < nodes; ++i) m->mark[i] = -1;
+    for (i = 0; i < nodes; ++i) {
+        for (k = s->ring_start[i]; k < s->ring_start[i + 1]; ++k) m->mark[s->ring[k]] = k;
+        for (k = s->in_start[i]; k < s->in_start[i + 1]; ++k) {
+            const sfem_int own = s->node[s->start[s->in_cell[k]]];
+            s->in_ring[k] = s->in_cell[k] < s->star_groups * SFEMI_LANES && own != i ? m->mark[own] : -1;
+            if (s->in_ring[k] >= 0) m->mark[own] = -1;
+        }
+    }
+    sfemi_smooth_weave(s, nodes);
 done:
     return status;
 }
@@ -17571,7 +17596,7 @@ static sfem_status sfemi_smooth_fill(sfemi_smooth_maker *m, sfemi_pool *own, sfe
         s->stab[c] = 2 * a * s->mu[c];
     }
     SFEMI_TRY(sfemi_smooth_transpose(m, own, err));
-    s->bytes = (size_t)s->start[cells] * (3 * sizeof(sfem_int) + 3 * sizeof(sfem_real)) +
+    s->bytes = (size_t)s->start[cells] * (4 * sizeof(sfem_int) + 7 * sizeof(sfem_real)) +
                (size_t)s->ring_start[m->mesh->nodes] * (sizeof(sfem_int) + sizeof(sfem_real)) +
                cells * (sizeof(sfem_int) + 6 * sizeof(sfem_real)) + (size_t)s->groups +
                (6 * (size_t)m->mesh->tets + 2 * (size_t)m->mesh->nodes) * sizeof(sfem_int);
@@ -17617,7 +17642,7 @@ typedef struct sfemi_smooth_forces {
     const sfem_real *lambda; /* smooth->lambda or soft */
     sfem_real *sum;     /* [nodes][9] the stars' rotations times their weights, or NULL */
     sfem_real *u4;      /* [nodes][4] u, a vector each */
-    sfem_real *q;       /* [cells][3][4] the columns of V P, a vector each */
+    sfem_real *q;       /* [cells][4][4] the columns of V P, and u of a star's own node, a vector each */
     sfem_real *r;       /* [star_groups][9][SFEMI_LANES] rotations, if sum */
     sfem_real *energy;  /* [groups], then [nodes] of tasks */
     sfem_int nodes;
@@ -17675,19 +17700,19 @@ static sfem_real sfemi_smooth_node_0(const sfemi_smooth_forces *job, sfem_int i)
 {
     const sfemi_smooth *s = job->smooth;
     const sfem_real *u = job->u4 + 4 * (size_t)i;
+    const sfem_int stars = s->star_groups * SFEMI_LANES;
     sfem_real f0 = 0, f1 = 0, f2 = 0, energy = 0;
     sfem_int k;
     for (k = s->in_start[i]; k < s->in_start[i + 1]; ++k) {
-        const sfem_real *q = job->q + 12 * (size_t)s->in_cell[k], *g = s->g + 3 * (size_t)s->in_entry[k];
+        const sfem_real *q = job->q + 16 * (size_t)s->in_cell[k], *g = s->in_g + 4 * (size_t)k;
         f0 += q[0] * g[0] + q[4] * g[1] + q[8] * g[2];
         f1 += q[1] * g[0] + q[5] * g[1] + q[9] * g[2];
         f2 += q[2] * g[0] + q[6] * g[1] + q[10] * g[2];
-    }
-    for (k = s->ring_start[i]; k < s->ring_start[i + 1]; ++k) {
-        const sfem_real *v = job->u4 + 4 * (size_t)s->ring[k], w = s->ring_l[k];
-        const sfem_real x = v[0] - u[0], y = v[1] - u[1], z = v[2] - u[2];
-        f0 += w * x, f1 += w * y, f2 += w * z;
-        energy -= w * (x * x + y * y + z * z);
+        if (s->in_cell[k] < stars) {
+            const sfem_real x = q[12] - u[0], y = q[13] - u[1], z = q[14] - u[2], w = g[3];
+            f0 += w * x, f1 += w * y, f2 += w * z;
+            energy -= w * (x * x + y * y + z * z);
+        }
     }
     job->force[3 * (size_t)i] = f0;
     job->force[3 * (size_t)i + 1] = f1;
@@ -17724,22 +17749,26 @@ SFEMI_TARGET_1 static sfem_real sfemi_smooth_node_1(const sfemi_smooth_forces *j
 {
     const sfemi_smooth *s = job->smooth;
     const __m256d u = _mm256_loadu_pd(job->u4 + 4 * (size_t)i);
-    __m256d f = _mm256_setzero_pd(), e = f, h = f;
+    const sfem_int end = s->in_start[i + 1], stars = s->star_groups * SFEMI_LANES;
+    __m256d f0 = _mm256_setzero_pd(), f1 = f0, f2 = f0, f3 = f0, e = f0;
     sfem_real out[4], energy[4];
-    sfem_int k;
-    for (k = s->in_start[i]; k < s->in_start[i + 1]; ++k) {
-        const sfem_real *q = job->q + 12 * (size_t)s->in_cell[k], *g = s->g + 3 * (size_t)s->in_entry[k];
-        f = _mm256_fmadd_pd(_mm256_loadu_pd(q), _mm256_broadcast_sd(g), f);
-        h = _mm256_fmadd_pd(_mm256_loadu_pd(q + 4), _mm256_broadcast_sd(g + 1), h);
-        f = _mm256_fmadd_pd(_mm256_loadu_pd(q + 8), _mm256_broadcast_sd(g + 2), f);
-    }
-    for (k = s->ring_start[i]; k < s->ring_start[i + 1]; ++k) {
-        const __m256d d = _mm256_sub_pd(_mm256_loadu_pd(job->u4 + 4 * (size_t)s->ring[k]), u);
-        const __m256d wd = _mm256_mul_pd(d, _mm256_broadcast_sd(s->ring_l + k));
-        f = _mm256_add_pd(f, wd);
+    sfem_int k = s->in_start[i];
+    for (; k < end && s->in_cell[k] < stars; ++k) {
+        const sfem_real *q = job->q + 16 * (size_t)s->in_cell[k], *g = s->in_g + 4 * (size_t)k;
+        const __m256d d = _mm256_sub_pd(_mm256_loadu_pd(q + 12), u), wd = _mm256_mul_pd(d, _mm256_broadcast_sd(g + 3));
+        f0 = _mm256_fmadd_pd(_mm256_loadu_pd(q), _mm256_broadcast_sd(g), f0);
+        f1 = _mm256_fmadd_pd(_mm256_loadu_pd(q + 4), _mm256_broadcast_sd(g + 1), f1);
+        f2 = _mm256_fmadd_pd(_mm256_loadu_pd(q + 8), _mm256_broadcast_sd(g + 2), f2);
+        f3 = _mm256_add_pd(f3, wd);
         e = _mm256_fnmadd_pd(wd, d, e);
     }
-    _mm256_storeu_pd(out, _mm256_add_pd(f, h));
+    for (; k < end; ++k) {
+        const sfem_real *q = job->q + 16 * (size_t)s->in_cell[k], *g = s->in_g + 4 * (size_t)k;
+        f0 = _mm256_fmadd_pd(_mm256_loadu_pd(q), _mm256_broadcast_sd(g), f0);
+        f1 = _mm256_fmadd_pd(_mm256_loadu_pd(q + 4), _mm256_broadcast_sd(g + 1), f1);
+        f2 = _mm256_fmadd_pd(_mm256_loadu_pd(q + 8), _mm256_broadcast_sd(g + 2), f2);
+    }
+    _mm256_storeu_pd(out, _mm256_add_pd(_mm256_add_pd(f0, f1), _mm256_add_pd(f2, f3)));
     _mm256_storeu_pd(energy, e);
     memcpy(job->force + 3 * (size_t)i, out, 3 * sizeof *out);
     return (energy[0] + energy[1] + energy[2]) / 4;
@@ -17779,14 +17808,17 @@ static void sfemi_smooth_some_cells(void *data, sfem_int index)
     if (end > s->groups) end = s->groups;
     for (group = index * SFEMI_CELL_TASK; group < end; ++group) {
         const size_t first = SFEMI_LANES * (size_t)group;
-        sfem_real *q = job->q + 12 * first;
+        sfem_real *q = job->q + 16 * first;
         job->gather->cells(s, (sfem_int)first, job->u4, p);
         job->energy[group] = job->kernel(s->law[group], job->lambda + first, s->mu + first, s->stab + first, p,
                                          job->sum && group < s->star_groups ? job->r + 9 * first : NULL);
-        for (l = 0; l < SFEMI_LANES; ++l, q += 12) {
+        for (l = 0; l < SFEMI_LANES; ++l, q += 16) {
+            const sfem_int at = s->start[first + (size_t)l];
             q[0] = p[l], q[1] = p[3 * SFEMI_LANES + l], q[2] = p[6 * SFEMI_LANES + l], q[3] = 0;
             q[4] = p[SFEMI_LANES + l], q[5] = p[4 * SFEMI_LANES + l], q[6] = p[7 * SFEMI_LANES + l], q[7] = 0;
             q[8] = p[2 * SFEMI_LANES + l], q[9] = p[5 * SFEMI_LANES + l], q[10] = p[8 * SFEMI_LANES + l], q[11] = 0;
+            if (group < s->star_groups && at < s->start[first + (size_t)l + 1])
+                memcpy(q + 12, job->u4 + 4 * (size_t)s->node[at], 4 * sizeof *q);
         }
     }
 }
@@ -17818,7 +17850,7 @@ static void sfemi_smooth_some_nodes(void *data, sfem_int index)
 /* For work: what a job needs of sfem_real. */
 static size_t sfemi_smooth_work_size(const sfemi_smooth *s, sfem_int nodes)
 {
-    return SFEMI_LANES * (12 * (size_t)s->groups + 9 * (size_t)s->star_groups) + 4 * (size_t)nodes + (size_t)s->groups +
+    return SFEMI_LANES * (16 * (size_t)s->groups + 9 * (size_t)s->star_groups) + 4 * (size_t)nodes + (size_t)s->groups +
            (size_t)nodes / SFEMI_NODE_TASK + 1;
 }
 
@@ -17832,7 +17864,7 @@ static sfem_real sfemi_smooth_run(sfemi_smooth_forces *job, sfem_precision preci
     sfem_int k;
     job->u4 = work;
     job->q = job->u4 + 4 * (size_t)job->nodes;
-    job->r = job->q + 12 * SFEMI_LANES * (size_t)s->groups;
+    job->r = job->q + 16 * SFEMI_LANES * (size_t)s->groups;
     job->energy = job->r + 9 * SFEMI_LANES * (size_t)s->star_groups;
     job->kernel = sfemi_cells_path[sfemi_path()][precision == SFEM_MIXED];
     job->gather = &sfemi_smooth_path[sfemi_path()];
@@ -20245,7 +20277,7 @@ static void sfemi_damage_free(sfemi_damage *d) /* NULL allowed */
  * K <= K0 remains, of whatever breaks. */
 typedef struct sfemi_apart {
     sfemi_smooth cells;      /* the model's, but for mu, stab, weight of stars, lambda, soft of patches, and g, which are
-                              * zero of those that are gone, and ring_l */
+                              * zero of those that are gone, ring_l and in_g */
     unsigned char *corner;   /* [model tets] bit a: the star of corner a has dissolved */
     sfem_int near, *near_tet; /* [model tets] intact tets some of whose stars have, ascending */
     sfem_real *trace;        /* [patches] of the strains' mean, in the last round */
@@ -20270,6 +20302,7 @@ static sfem_status sfemi_apart_create(sfemi_damage *d, sfem_error *err)
     SFEMI_TAKE(sfem_real, d->apart->cells.lambda, &d->pool, cells);
     SFEMI_TAKE(sfem_real, d->apart->cells.soft, &d->pool, cells);
     SFEMI_TAKE(sfem_real, d->apart->cells.g, &d->pool, 3 * (size_t)s->start[cells]);
+    SFEMI_TAKE(sfem_real, d->apart->cells.in_g, &d->pool, 4 * (size_t)s->start[cells]);
     SFEMI_TAKE(sfem_real, d->apart->cells.ring_l, &d->pool, s->ring_start[nodes]);
     SFEMI_TAKE(unsigned char, d->apart->corner, &d->pool, model->mesh.tets);
     SFEMI_TAKE(sfem_int, d->apart->near_tet, &d->pool, model->mesh.tets);
@@ -20378,11 +20411,12 @@ static void sfemi_apart_take(sfemi_damage *d, sfem_int e)
            3 * (size_t)(s->start[patch + 1] - s->start[patch]) * sizeof *s->g);
 }
 
-/* Lists the intact tets that have a share of their own. */
+/* Lists the intact tets that have a share of their own, and orders what is left of the cells for the forces. */
 static void sfemi_apart_list(sfemi_damage *d)
 {
     sfemi_apart *p = d->apart;
     sfem_int e;
+    sfemi_smooth_weave(&p->cells, d->bonds->model->mesh.nodes);
     for (p->near = e = 0; e < d->bonds->model->mesh.tets; ++e)
         if (p->corner[e] && d->kind[e] == SFEMI_INTACT) p->near_tet[p->near++] = e;
 }
@@ -25030,6 +25064,12 @@ static void sfemi_pqr_weigh(sfem_body *b, sfem_real h2)
     t->load[1] = 1 - t->load[0] - t->load[2];
 }
 
+/* Of smooth tets, does A hold K itself, not K0? Where one solve is all there is, of Newmark and KR-alpha. */
+static int sfemi_body_holds_k(const sfem_body *b)
+{
+    return b->scheme.newmark || (b->scheme.lagging && !b->scheme.rotates);
+}
+
 /* What a step adds its acceleration to: b->base where there is one, else w. */
 static const sfem_real *sfemi_pqr_base(const sfem_body *b) { return b->base ? b->base : b->state.w; }
 
@@ -25063,7 +25103,7 @@ static void sfemi_pqr_predict(sfem_body *b)
     const int damped = b->alpha != 0 || b->beta != 0 || b->zd != NULL;
     const sfem_real *base = sfemi_pqr_base(b), *w = sfemi_body_way(b);
     /* smooth tets: what A's K0 is applied to, which is not what K is; without a factor of K itself */
-    sfem_real *own = b->model->smooth && !b->scheme.newmark ? b->spare : b->zk;
+    sfem_real *own = b->model->smooth && !sfemi_body_holds_k(b) ? b->spare : b->zk;
     int with_mass, c;
     sfem_int j;
     size_t i;
@@ -25934,7 +25974,7 @@ done:
 /* Is what A holds of K another matrix than K? */
 static int sfemi_resume_bounded(const sfem_body *b)
 {
-    if (b->model->smooth && !b->scheme.newmark) return 1;
+    if (b->model->smooth && !sfemi_body_holds_k(b)) return 1;
     return b->scheme.rotates && (sfemi_damage_tets(b->damage) > 0 || b->refactor.live || b->def.frame == SFEM_FRAME_ISOTROPIC);
 }
 
@@ -29658,10 +29698,10 @@ static sfem_status sfemi_body_check_smooth(const sfem_body *b, const sfem_body_d
     if (def->damage && !b->model->rotates)
         return sfemi_fail(err, SFEM_BAD_ARGUMENT,
                           "smooth tets of the linear law cannot break: take SFEM_COROTATIONAL, or SFEM_TET_LINEAR");
-    if (b->scheme.lagging)
+    if (b->scheme.lagging && b->model->rotates)
         return sfemi_fail(err, SFEM_BAD_ARGUMENT,
-                          "KR-alpha needs the exact K in its factor, which smooth tets do not have: take SFEM_PQR, "
-                          "whose def.dissipation damps fast modes, or SFEM_GENERALIZED_ALPHA");
+                          "KR-alpha needs the exact K in its factor, which smooth tets whose law rotates do not have: take "
+                          "SFEM_PQR, whose def.dissipation damps fast modes, or SFEM_GENERALIZED_ALPHA");
     if (def->damping_force.tangent)
         return sfemi_fail(err, SFEM_BAD_ARGUMENT,
                           "with smooth tets a damping force has no tangent: its pattern is not that of the factor");
@@ -29865,7 +29905,7 @@ SFEM_DEF sfem_status sfem_body_prepare(sfem_body *b, sfem_real h, sfem_error *er
         key.cd = b->model->damping ? b->scheme.q / 2 * h : 0;
         key.mask = b->mask;
         key.upper_bound = b->scheme.rotates && b->def.frame == SFEM_FRAME_ISOTROPIC;
-        key.exact = b->model->smooth && b->scheme.newmark; /* one solve is all there is */
+        key.exact = b->model->smooth && sfemi_body_holds_k(b);
         key.precision = b->def.precision;
         key.ordering = b->def.ordering;
         status = sfemi_factor_get(b->model, &key, &b->exec, &f, &b->factors_made, err);
