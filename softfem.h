@@ -17476,6 +17476,21 @@ static void sfemi_smooth_weave(sfemi_smooth *s, sfem_int nodes)
     }
 }
 
+/* in_ring. mark [nodes]: scratch. */
+static void sfemi_smooth_link(sfemi_smooth *s, sfem_int *mark, sfem_int nodes)
+{
+    sfem_int i, k;
+    for (i = 0; i < nodes; ++i) mark[i] = -1;
+    for (i = 0; i < nodes; ++i) {
+        for (k = s->ring_start[i]; k < s->ring_start[i + 1]; ++k) mark[s->ring[k]] = k;
+        for (k = s->in_start[i]; k < s->in_start[i + 1]; ++k) {
+            const sfem_int own = s->node[s->start[s->in_cell[k]]];
+            s->in_ring[k] = s->in_cell[k] < s->star_groups * SFEMI_LANES && own != i ? mark[own] : -1;
+            if (s->in_ring[k] >= 0) mark[own] = -1;
+        }
+    }
+}
+
 /* The entries of each node, and its neighbours with the stabilisation's Laplacian. */
 static sfem_status sfemi_smooth_transpose(sfemi_smooth_maker *m, sfemi_pool *pool, sfem_error *err)
 {
@@ -17525,15 +17540,7 @@ static sfem_status sfemi_smooth_transpose(sfemi_smooth_maker *m, sfemi_pool *poo
     }
     SFEMI_TAKE(sfem_int, s->in_ring, pool, s->start[s->cells]);
     SFEMI_TAKE(sfem_real, s->in_g, pool, 4 * (size_t)s->start[s->cells]);
-    for (i = 0; i < nodes; ++i) m->mark[i] = -1;
-    for (i = 0; i < nodes; ++i) {
-        for (k = s->ring_start[i]; k < s->ring_start[i + 1]; ++k) m->mark[s->ring[k]] = k;
-        for (k = s->in_start[i]; k < s->in_start[i + 1]; ++k) {
-            const sfem_int own = s->node[s->start[s->in_cell[k]]];
-            s->in_ring[k] = s->in_cell[k] < s->star_groups * SFEMI_LANES && own != i ? m->mark[own] : -1;
-            if (s->in_ring[k] >= 0) m->mark[own] = -1;
-        }
-    }
+    sfemi_smooth_link(s, m->mark, nodes);
     sfemi_smooth_weave(s, nodes);
 done:
     return status;
