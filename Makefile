@@ -142,6 +142,9 @@ stress: $(BUILD)/bench/stress ## which integrator survives what: 488 scenes; the
 accuracy: $(BUILD)/bench/accuracy ## the verification table: expected beside found; CalculiX if there
 	$(ENVIRONMENT) $(BUILD)/bench/accuracy --references $(BUILD)/bench-real
 
+bench-tets: $(BUILD)/bench/accuracy ## error against run time of linear and smooth tets and CalculiX's C3D10, with a picture
+	OMP_THREAD_LIMIT=1 $(BUILD)/bench/accuracy --race $(BUILD)/tets.svg
+
 bench-solver: $(BUILD)/bench/solver ## the solver beside CHOLMOD, Eigen, METIS, BLAS where installed
 	OMP_THREAD_LIMIT=1 OPENBLAS_NUM_THREADS=1 $(ENVIRONMENT) $(BUILD)/bench/solver
 

@@ -151,8 +151,8 @@
  *     SFEM_ENABLE_MODES (with models), SFEM_ENABLE_REDUCED, SFEM_ENABLE_LINK (with reduced models).
  *     SFEM_ENABLE_REDUCED alone plays reduced models that were saved; with SFEM_ENABLE_MODES it makes them
  *
- * LIMITS. 4-node tetrahedra: linear ones, which lock, or smooth ones, which do not (sfem_tet) but cannot break yet. Node
- * and tet counts below 2^31. Bodies touch obstacles; they do not touch each other or themselves, and modal bodies touch
+ * LIMITS. 4-node tetrahedra: linear ones, which lock, or smooth ones, which do not (sfem_tet). Node and tet counts below
+ * 2^31. Bodies touch obstacles; they do not touch each other or themselves, and modal bodies touch
  * nothing. No remeshing.
  */
 #ifndef SOFTFEM_H
@@ -1144,7 +1144,9 @@ typedef enum sfem_mass { SFEM_MASS_LUMPED, SFEM_MASS_CONSISTENT } sfem_mass;
  *                    iteration. A linear body's step of (p,q,r) is one solve with K0: unconditionally stable, with
  *                    twice the error in time of K itself, which SFEM_NEWMARK takes. In steps of (p,q,r) of laws that
  *                    rotate nu counts as 0.48 at most (sfem_body_info).
- *                    Not with damage or KR-alpha. Creation takes about 4 us a tet, the structures 250 bytes a tet
+ *                    In bodies that break (not of SFEM_LINEAR) nodes of damaged tets average no more and their patches
+ *                    lose lambda, so that K <= K0 remains: cracks lie in a layer of linear tets with nu = 0. With
+ *                    KR-alpha of the linear law only. Creation takes about 4 us a tet, the structures 410 bytes a tet
  *                    (measured) */
 typedef enum sfem_tet { SFEM_TET_LINEAR, SFEM_TET_SMOOTH } sfem_tet;
 
@@ -1239,8 +1241,8 @@ SFEM_DEF void sfem_model_multiply_damping(const sfem_model *model, const sfem_re
  *   rotation  [tets][3][3] nearest rotation of each F, I for linear tets; or NULL
  *   inverted  how many tets have det F <= 0; or NULL
  *   work      [sfem_model_work_size] reals
- *   cost      a tet, with AVX2: linear 12 ns, StVK 15, neo-Hookean 20, corotational 24, mixed 19; smooth tets 35, 37
- *             and 40;
+ *   cost      a tet, with AVX2: linear 12 ns, StVK 15, neo-Hookean 20, corotational 24, mixed 19; smooth tets 28, 32
+ *             and 34;
  *             0.7 us for one whose R is almost undetermined. A u that is not finite gives an
  *             energy that is not finite.
  * Allocates nothing. The bits are the same for any number of threads, but differ between vector widths
@@ -1583,12 +1585,11 @@ typedef struct sfem_body_def {
                                * comes, even if it makes energy */
     const struct sfem_damage_def *damage; /* the body can break (>>api-damage); (p,q,r) and central differences, lumped mass.
                                * NULL, the default: it cannot, at no cost. Read by create only */
-    sfem_real accuracy;       /* (p,q,r) of nonlinear laws, in (0, 1]. A step is corrected until one
-                               * more correction is expected to gain less than this part of the energy in motion (the
-                               * largest recent kinetic energy). 1e-6, the default: within a factor of two of the
-                               * errors of full Newton. 1e-4: a third fewer solves. 1: one solve a step, no
-                               * corrections. 1e-20: to rounding (velocities are off by the square root, since it is an
-                               * energy) */
+    sfem_real accuracy;       /* (p,q,r) of nonlinear laws, in (0, 1]. A step is corrected until one more correction is
+                               * expected to gain less than this part of the energy in motion (the largest recent
+                               * kinetic energy). 1e-6, the default: within a factor of two of the errors of full
+                               * Newton. 1e-4: a third fewer solves. 1: one solve a step, no corrections. 1e-20: to
+                               * rounding (velocities are off by the square root, since it is an energy) */
     sfem_real dissipation;    /* of corrected steps, 0 to 1/3: HHT's alpha. 0.1, the default, damps what a step does not
                                * resolve. 0: Newmark(1/4, 1/2), conservative */
     sfem_real refactorise;    /* (p,q,r) of nonlinear laws and of damage: the work a step on a factor of the present
@@ -17608,7 +17609,10 @@ typedef struct sfemi_smooth {
     sfem_real *weight;         /* [cells] of a star's rotation in that of its node */
     sfem_int *in_start;        /* [nodes+1] entries of a node */
     sfem_int *in_cell;         /* [entries] their cells, ascending, */
-    sfem_int *in_entry;        /* [entries] and places */
+    sfem_int *in_entry;        /* [entries] and places; */
+    sfem_int *in_ring;         /* [entries] of the first star that each neighbour has the node in: the place in ring_l,
+                                * else -1; */
+    sfem_real *in_g;           /* [entries][4] g and the entry of ring_l or 0, in the order in which forces take them */
     sfem_int *ring_start;      /* [nodes+1] neighbours of a node */
     sfem_int *ring;            /* [ring_start[nodes]] */
     sfem_real *ring_l;         /* their entries of the stabilisation's Laplacian, N/m */
@@ -18002,6 +18006,31 @@ static void sfemi_smooth_shapes(sfemi_smooth_maker *m)
     }
 }
 
+/* in_g, from g and ring_l. */
+static void sfemi_smooth_weave(sfemi_smooth *s, sfem_int nodes)
+{
+    sfem_int k;
+    for (k = 0; k < s->in_start[nodes]; ++k) {
+        memcpy(s->in_g + 4 * (size_t)k, s->g + 3 * (size_t)s->in_entry[k], 3 * sizeof *s->g);
+        s->in_g[4 * (size_t)k + 3] = s->in_ring[k] >= 0 ? s->ring_l[s->in_ring[k]] : 0;
+    }
+}
+
+/* in_ring. mark [nodes]: scratch. */
+static void sfemi_smooth_link(sfemi_smooth *s, sfem_int *mark, sfem_int nodes)
+{
+    sfem_int i, k;
+    for (i = 0; i < nodes; ++i) mark[i] = -1;
+    for (i = 0; i < nodes; ++i) {
+        for (k = s->ring_start[i]; k < s->ring_start[i + 1]; ++k) mark[s->ring[k]] = k;
+        for (k = s->in_start[i]; k < s->in_start[i + 1]; ++k) {
+            const sfem_int own = s->node[s->start[s->in_cell[k]]];
+            s->in_ring[k] = s->in_cell[k] < s->star_groups * SFEMI_LANES && own != i ? mark[own] : -1;
+            if (s->in_ring[k] >= 0) mark[own] = -1;
+        }
+    }
+}
+
 /* The entries of each node, and its neighbours with the stabilisation's Laplacian. */
 static sfem_status sfemi_smooth_transpose(sfemi_smooth_maker *m, sfemi_pool *pool, sfem_error *err)
 {
@@ -18049,6 +18078,10 @@ static sfem_status sfemi_smooth_transpose(sfemi_smooth_maker *m, sfemi_pool *poo
         SFEMI_TAKE(sfem_int, s->ring, pool, at);
         SFEMI_TAKE(sfem_real, s->ring_l, pool, at);
     }
+    SFEMI_TAKE(sfem_int, s->in_ring, pool, s->start[s->cells]);
+    SFEMI_TAKE(sfem_real, s->in_g, pool, 4 * (size_t)s->start[s->cells]);
+    sfemi_smooth_link(s, m->mark, nodes);
+    sfemi_smooth_weave(s, nodes);
 done:
     return status;
 }
@@ -18110,7 +18143,7 @@ static sfem_status sfemi_smooth_fill(sfemi_smooth_maker *m, sfemi_pool *own, sfe
         s->stab[c] = 2 * a * s->mu[c];
     }
     SFEMI_TRY(sfemi_smooth_transpose(m, own, err));
-    s->bytes = (size_t)s->start[cells] * (3 * sizeof(sfem_int) + 3 * sizeof(sfem_real)) +
+    s->bytes = (size_t)s->start[cells] * (4 * sizeof(sfem_int) + 7 * sizeof(sfem_real)) +
                (size_t)s->ring_start[m->mesh->nodes] * (sizeof(sfem_int) + sizeof(sfem_real)) +
                cells * (sizeof(sfem_int) + 6 * sizeof(sfem_real)) + (size_t)s->groups +
                (6 * (size_t)m->mesh->tets + 2 * (size_t)m->mesh->nodes) * sizeof(sfem_int);
@@ -18156,7 +18189,7 @@ typedef struct sfemi_smooth_forces {
     const sfem_real *lambda; /* smooth->lambda or soft */
     sfem_real *sum;     /* [nodes][9] the stars' rotations times their weights, or NULL */
     sfem_real *u4;      /* [nodes][4] u, a vector each */
-    sfem_real *q;       /* [cells][3][4] the columns of V P, a vector each */
+    sfem_real *q;       /* [cells][4][4] the columns of V P, and u of a star's own node, a vector each */
     sfem_real *r;       /* [star_groups][9][SFEMI_LANES] rotations, if sum */
     sfem_real *energy;  /* [groups], then [nodes] of tasks */
     sfem_int nodes;
@@ -18214,19 +18247,19 @@ static sfem_real sfemi_smooth_node_0(const sfemi_smooth_forces *job, sfem_int i)
 {
     const sfemi_smooth *s = job->smooth;
     const sfem_real *u = job->u4 + 4 * (size_t)i;
+    const sfem_int stars = s->star_groups * SFEMI_LANES;
     sfem_real f0 = 0, f1 = 0, f2 = 0, energy = 0;
     sfem_int k;
     for (k = s->in_start[i]; k < s->in_start[i + 1]; ++k) {
-        const sfem_real *q = job->q + 12 * (size_t)s->in_cell[k], *g = s->g + 3 * (size_t)s->in_entry[k];
+        const sfem_real *q = job->q + 16 * (size_t)s->in_cell[k], *g = s->in_g + 4 * (size_t)k;
         f0 += q[0] * g[0] + q[4] * g[1] + q[8] * g[2];
         f1 += q[1] * g[0] + q[5] * g[1] + q[9] * g[2];
         f2 += q[2] * g[0] + q[6] * g[1] + q[10] * g[2];
-    }
-    for (k = s->ring_start[i]; k < s->ring_start[i + 1]; ++k) {
-        const sfem_real *v = job->u4 + 4 * (size_t)s->ring[k], w = s->ring_l[k];
-        const sfem_real x = v[0] - u[0], y = v[1] - u[1], z = v[2] - u[2];
-        f0 += w * x, f1 += w * y, f2 += w * z;
-        energy -= w * (x * x + y * y + z * z);
+        if (s->in_cell[k] < stars) {
+            const sfem_real x = q[12] - u[0], y = q[13] - u[1], z = q[14] - u[2], w = g[3];
+            f0 += w * x, f1 += w * y, f2 += w * z;
+            energy -= w * (x * x + y * y + z * z);
+        }
     }
     job->force[3 * (size_t)i] = f0;
     job->force[3 * (size_t)i + 1] = f1;
@@ -18263,22 +18296,26 @@ SFEMI_TARGET_1 static sfem_real sfemi_smooth_node_1(const sfemi_smooth_forces *j
 {
     const sfemi_smooth *s = job->smooth;
     const __m256d u = _mm256_loadu_pd(job->u4 + 4 * (size_t)i);
-    __m256d f = _mm256_setzero_pd(), e = f, h = f;
+    const sfem_int end = s->in_start[i + 1], stars = s->star_groups * SFEMI_LANES;
+    __m256d f0 = _mm256_setzero_pd(), f1 = f0, f2 = f0, f3 = f0, e = f0;
     sfem_real out[4], energy[4];
-    sfem_int k;
-    for (k = s->in_start[i]; k < s->in_start[i + 1]; ++k) {
-        const sfem_real *q = job->q + 12 * (size_t)s->in_cell[k], *g = s->g + 3 * (size_t)s->in_entry[k];
-        f = _mm256_fmadd_pd(_mm256_loadu_pd(q), _mm256_broadcast_sd(g), f);
-        h = _mm256_fmadd_pd(_mm256_loadu_pd(q + 4), _mm256_broadcast_sd(g + 1), h);
-        f = _mm256_fmadd_pd(_mm256_loadu_pd(q + 8), _mm256_broadcast_sd(g + 2), f);
-    }
-    for (k = s->ring_start[i]; k < s->ring_start[i + 1]; ++k) {
-        const __m256d d = _mm256_sub_pd(_mm256_loadu_pd(job->u4 + 4 * (size_t)s->ring[k]), u);
-        const __m256d wd = _mm256_mul_pd(d, _mm256_broadcast_sd(s->ring_l + k));
-        f = _mm256_add_pd(f, wd);
+    sfem_int k = s->in_start[i];
+    for (; k < end && s->in_cell[k] < stars; ++k) {
+        const sfem_real *q = job->q + 16 * (size_t)s->in_cell[k], *g = s->in_g + 4 * (size_t)k;
+        const __m256d d = _mm256_sub_pd(_mm256_loadu_pd(q + 12), u), wd = _mm256_mul_pd(d, _mm256_broadcast_sd(g + 3));
+        f0 = _mm256_fmadd_pd(_mm256_loadu_pd(q), _mm256_broadcast_sd(g), f0);
+        f1 = _mm256_fmadd_pd(_mm256_loadu_pd(q + 4), _mm256_broadcast_sd(g + 1), f1);
+        f2 = _mm256_fmadd_pd(_mm256_loadu_pd(q + 8), _mm256_broadcast_sd(g + 2), f2);
+        f3 = _mm256_add_pd(f3, wd);
         e = _mm256_fnmadd_pd(wd, d, e);
     }
-    _mm256_storeu_pd(out, _mm256_add_pd(f, h));
+    for (; k < end; ++k) {
+        const sfem_real *q = job->q + 16 * (size_t)s->in_cell[k], *g = s->in_g + 4 * (size_t)k;
+        f0 = _mm256_fmadd_pd(_mm256_loadu_pd(q), _mm256_broadcast_sd(g), f0);
+        f1 = _mm256_fmadd_pd(_mm256_loadu_pd(q + 4), _mm256_broadcast_sd(g + 1), f1);
+        f2 = _mm256_fmadd_pd(_mm256_loadu_pd(q + 8), _mm256_broadcast_sd(g + 2), f2);
+    }
+    _mm256_storeu_pd(out, _mm256_add_pd(_mm256_add_pd(f0, f1), _mm256_add_pd(f2, f3)));
     _mm256_storeu_pd(energy, e);
     memcpy(job->force + 3 * (size_t)i, out, 3 * sizeof *out);
     return (energy[0] + energy[1] + energy[2]) / 4;
@@ -18318,14 +18355,17 @@ static void sfemi_smooth_some_cells(void *data, sfem_int index)
     if (end > s->groups) end = s->groups;
     for (group = index * SFEMI_CELL_TASK; group < end; ++group) {
         const size_t first = SFEMI_LANES * (size_t)group;
-        sfem_real *q = job->q + 12 * first;
+        sfem_real *q = job->q + 16 * first;
         job->gather->cells(s, (sfem_int)first, job->u4, p);
         job->energy[group] = job->kernel(s->law[group], job->lambda + first, s->mu + first, s->stab + first, p,
                                          job->sum && group < s->star_groups ? job->r + 9 * first : NULL);
-        for (l = 0; l < SFEMI_LANES; ++l, q += 12) {
+        for (l = 0; l < SFEMI_LANES; ++l, q += 16) {
+            const sfem_int at = s->start[first + (size_t)l];
             q[0] = p[l], q[1] = p[3 * SFEMI_LANES + l], q[2] = p[6 * SFEMI_LANES + l], q[3] = 0;
             q[4] = p[SFEMI_LANES + l], q[5] = p[4 * SFEMI_LANES + l], q[6] = p[7 * SFEMI_LANES + l], q[7] = 0;
             q[8] = p[2 * SFEMI_LANES + l], q[9] = p[5 * SFEMI_LANES + l], q[10] = p[8 * SFEMI_LANES + l], q[11] = 0;
+            if (group < s->star_groups && at < s->start[first + (size_t)l + 1])
+                memcpy(q + 12, job->u4 + 4 * (size_t)s->node[at], 4 * sizeof *q);
         }
     }
 }
@@ -18357,7 +18397,7 @@ static void sfemi_smooth_some_nodes(void *data, sfem_int index)
 /* For work: what a job needs of sfem_real. */
 static size_t sfemi_smooth_work_size(const sfemi_smooth *s, sfem_int nodes)
 {
-    return SFEMI_LANES * (12 * (size_t)s->groups + 9 * (size_t)s->star_groups) + 4 * (size_t)nodes + (size_t)s->groups +
+    return SFEMI_LANES * (16 * (size_t)s->groups + 9 * (size_t)s->star_groups) + 4 * (size_t)nodes + (size_t)s->groups +
            (size_t)nodes / SFEMI_NODE_TASK + 1;
 }
 
@@ -18371,7 +18411,7 @@ static sfem_real sfemi_smooth_run(sfemi_smooth_forces *job, sfem_precision preci
     sfem_int k;
     job->u4 = work;
     job->q = job->u4 + 4 * (size_t)job->nodes;
-    job->r = job->q + 12 * SFEMI_LANES * (size_t)s->groups;
+    job->r = job->q + 16 * SFEMI_LANES * (size_t)s->groups;
     job->energy = job->r + 9 * SFEMI_LANES * (size_t)s->star_groups;
     job->kernel = sfemi_cells_path[sfemi_path()][precision == SFEM_MIXED];
     job->gather = &sfemi_smooth_path[sfemi_path()];
@@ -19528,6 +19568,8 @@ typedef struct sfemi_forces {
     const sfem_real *u;       /* [nodes][3] displacements, m */
     sfem_precision precision; /* of the kernels */
     int soft;                 /* smooth tets: with the lambda of steps, see SFEMI_SMOOTH_POISSON */
+    const sfemi_smooth *smooth; /* the cells of a body that breaks; NULL: the model's */
+    const unsigned char *left_out; /* [tets] those that `inverted` does not count; NULL: none */
     sfem_real *force;         /* [nodes][3] N, never NULL */
     sfem_real *rotation;      /* [tets][9] */
     sfem_real *sum;           /* [nodes][9] the tets' rotations times their weights, added up by nodes; with */
@@ -19634,7 +19676,7 @@ static void sfemi_fem_smooth_tets(const sfem_model *model, const sfemi_forces *a
                              g, f);
         for (i = 0; i < 9; i += 4) f[i] += 1;
         sfemi_cofactor3(f, c);
-        turned += sfemi_dot3(f, c) <= 0;
+        turned += sfemi_dot3(f, c) <= 0 && !(ask->left_out && ask->left_out[e]);
         if (!ask->rotation) continue;
         if (model->law[e] != SFEM_LINEAR) sfemi_element_rotation(f, SFEMI_TINY_F, ask->rotation + 9 * (size_t)e);
         else
@@ -19647,8 +19689,8 @@ static sfem_real sfemi_fem_smooth_forces(const sfem_model *model, const sfemi_fo
 {
     sfemi_smooth_forces job;
     memset(&job, 0, sizeof job);
-    job.smooth = model->smooth;
-    job.lambda = ask->soft ? model->smooth->soft : model->smooth->lambda;
+    job.smooth = ask->smooth ? ask->smooth : model->smooth;
+    job.lambda = ask->soft ? job.smooth->soft : job.smooth->lambda;
     job.u = ask->u;
     job.force = ask->force;
     job.sum = ask->sum;
@@ -19761,15 +19803,16 @@ static void sfemi_tangents_chunk(void *data, sfem_int index)
             sfemi_tangents_tet(job, job->block + b, lane);
 }
 
-static void sfemi_fem_tangent(const sfem_model *model, const sfemi_block *block, const sfem_real *u,
-                              sfem_tangent kind, sfem_matrix *tangent, const sfem_exec *exec)
+/* cells: of smooth tets, the model's or a body's own. */
+static void sfemi_fem_tangent(const sfem_model *model, const sfemi_block *block, const sfemi_smooth *cells,
+                              const sfem_real *u, sfem_tangent kind, sfem_matrix *tangent, const sfem_exec *exec)
 {
     const sfemi_chunks *c = &model->chunks;
     sfemi_tangents job;
     sfem_int n;
     SFEM_ASSERT(u && tangent && tangent->n == model->mesh.nodes);
-    if (model->smooth && tangent->row[tangent->n] != model->row[tangent->n]) {
-        sfemi_smooth_assemble(model->smooth, u, kind, tangent);
+    if (cells && tangent->row[tangent->n] != model->row[tangent->n]) {
+        sfemi_smooth_assemble(cells, u, kind, tangent);
         return;
     }
     SFEM_ASSERT(tangent->row[tangent->n] == model->row[tangent->n]);
@@ -19784,14 +19827,14 @@ static void sfemi_fem_tangent(const sfem_model *model, const sfemi_block *block,
         job.chunk = c->color_chunk + c->color_start[n];
         sfemi_run(exec, c->color_start[n + 1] - c->color_start[n], sfemi_tangents_chunk, &job);
     }
-    if (model->smooth) sfemi_smooth_add_patches(model->smooth, u, kind, tangent);
+    if (cells) sfemi_smooth_add_patches(cells, u, kind, tangent);
 }
 
 SFEM_DEF void sfem_model_tangent(const sfem_model *model, const sfem_real *u, sfem_tangent kind,
                                  sfem_matrix *tangent, const sfem_exec *exec)
 {
     SFEM_ASSERT(model && u && tangent);
-    sfemi_fem_tangent(model, model->chunks.block, u, kind, tangent, exec);
+    sfemi_fem_tangent(model, model->chunks.block, model->smooth, u, kind, tangent, exec);
 }
 
 /* P F^T / J. */
@@ -19987,8 +20030,8 @@ SFEM_DEF void sfem_add_pressure(const sfem_mesh *mesh, const sfem_real *x, sfem_
  * >>damage   edge form of the tet, damage laws, criterion, pieces
  * ============================================================================================ */
 
-/* zeta lives on the edges of the mesh, which are the blocks below the diagonal of K's pattern. All
- * that a damaged tet needs (S_d, whether it hangs together) is computed from its six zetas
+/* zeta lives on the edges of the mesh, which are the blocks below the diagonal of K's pattern (of smooth tets, whose
+ * pattern has the patches' too, of that of linear tets). All that a damaged tet needs (S_d, whether it hangs together) is computed from its six zetas
  * directly, never by updating, so that a state that was saved and loaded goes on with the same
  * bits.
  * 
@@ -20307,6 +20350,7 @@ typedef struct sfemi_bonds {
     sfemi_pool pool;         /* all of it */
     const sfem_model *model; /* kept alive by the body */
     sfem_damage_def def;     /* its arrays are NULL: they are in what follows */
+    const sfem_int *row, *col; /* the pattern of linear tets: the model's, or own */
     sfem_int edges, degree;  /* degree: most tets round an edge */
     sfem_int *end;           /* [edges][2] nodes i < j, by j, then i */
     sfem_real *length;       /* [edges] L, m */
@@ -20325,6 +20369,8 @@ typedef struct sfemi_bonds {
     unsigned char *never;    /* [edges] SFEMI_NEVER: unbreakable, SFEMI_BLADE_ONLY */
     int by_rate;             /* 1: edges break by the energy release rate; 0: by w_k alone */
     sfem_real stiffening;    /* the largest of sfem_damage_stiffening: p >= stiffening/4 */
+    sfem_int *near_start;    /* smooth tets: [nodes+1] tets of a node: */
+    sfem_int *near_tet;      /* [4 tets] ascending */
 } sfemi_bonds;
 
 /* ---- the damage of a body ----
@@ -20374,6 +20420,8 @@ typedef struct sfemi_damage {
     sfem_real *push;         /* [nodes][3] their configurational forces, N; 0 of all others */
     sfem_int *patch_tet, patch_tets; /* [model tets] the tets with such a node */
     unsigned char *in_patch; /* [model tets] 1: these */
+    struct sfemi_apart *apart;   /* smooth tets; NULL: linear ones */
+    const sfemi_smooth *cells;   /* its cells, or NULL */
 } sfemi_damage;
 
 SFEM_DEF sfem_damage_def sfem_default_damage_def(void)
@@ -20474,6 +20522,36 @@ done:
     return status;
 }
 
+/* The pattern of linear tets, where the model's is another, and the tets of nodes. */
+static sfem_status sfemi_bonds_pattern(sfemi_bonds *g, sfem_error *err)
+{
+    const sfem_mesh *mesh = &g->model->mesh;
+    const sfem_int nodes = mesh->nodes;
+    sfem_int *mark = NULL, *row, *col, i, k;
+    sfem_status status = SFEM_OK;
+    g->row = g->model->row;
+    g->col = g->model->col;
+    if (!g->model->smooth) return SFEM_OK;
+    SFEMI_TAKE(sfem_int, g->near_start, &g->pool, (size_t)nodes + 1);
+    SFEMI_TAKE(sfem_int, g->near_tet, &g->pool, 4 * (size_t)mesh->tets);
+    SFEMI_TAKE(sfem_int, row, &g->pool, (size_t)nodes + 1);
+    for (k = 0; k < 4 * mesh->tets; ++k) ++g->near_start[mesh->tet[k]];
+    for (i = 0; i < nodes; ++i) g->near_start[i + 1] += g->near_start[i];
+    for (k = 4 * mesh->tets - 1; k >= 0; --k) g->near_tet[--g->near_start[mesh->tet[k]]] = k / 4;
+    SFEMI_NEW(sfem_int, mark, &g->model->allocator, nodes);
+    for (i = 0; i < nodes; ++i) mark[i] = -1;
+    for (i = 0; i < nodes; ++i)
+        row[i + 1] = row[i] + sfemi_fem_pattern_row(mesh, g->near_start, g->near_tet, i, mark, NULL);
+    SFEMI_TAKE(sfem_int, col, &g->pool, row[nodes]);
+    for (i = 0; i < nodes; ++i) mark[i] = -1;
+    for (i = 0; i < nodes; ++i) sfemi_fem_pattern_row(mesh, g->near_start, g->near_tet, i, mark, col + row[i]);
+    g->row = row;
+    g->col = col;
+done:
+    sfemi_delete(&g->model->allocator, mark);
+    return status;
+}
+
 /* Edge and place of K's block: rows before that of node i hold i diagonals, row i has its own last.
  */
 static void sfemi_bonds_link(sfemi_bonds *g)
@@ -20482,10 +20560,10 @@ static void sfemi_bonds_link(sfemi_bonds *g)
     const sfem_mesh *mesh = &model->mesh;
     sfem_int e, i, at, k;
     for (i = 0; i < mesh->nodes; ++i)
-        for (at = model->row[i]; at < model->row[i + 1] - 1; ++at) {
-            g->end[2 * (at - i)] = model->col[at];
+        for (at = g->row[i]; at < g->row[i + 1] - 1; ++at) {
+            g->end[2 * (at - i)] = g->col[at];
             g->end[2 * (at - i) + 1] = i;
-            ++g->node_start[model->col[at] + 1];
+            ++g->node_start[g->col[at] + 1];
             ++g->node_start[i + 1];
         }
     for (i = 0; i < mesh->nodes; ++i) g->node_start[i + 1] += g->node_start[i];
@@ -20498,7 +20576,8 @@ static void sfemi_bonds_link(sfemi_bonds *g)
             const int *end = sfemi_edge_ends(3, k);
             const sfem_int a = mesh->tet[4 * (size_t)e + (size_t)end[0]];
             const sfem_int b = mesh->tet[4 * (size_t)e + (size_t)end[1]];
-            at = model->chunks.place[10 * (size_t)e + (size_t)sfemi_damage_place[k]];
+            at = model->smooth ? sfemi_fem_find(g->row, g->col, a > b ? a : b, a > b ? b : a)
+                               : model->chunks.place[10 * (size_t)e + (size_t)sfemi_damage_place[k]];
             g->tet_edge[6 * e + k] = at - (a > b ? a : b);
             ++g->tet_start[g->tet_edge[6 * e + k] + 1];
         }
@@ -20603,7 +20682,7 @@ static sfem_status sfemi_bonds_lines(sfemi_bonds *g, const sfem_damage_def *def,
         const sfem_int i = a > b ? a : b, j = a > b ? b : a;
         sfem_int at = -1;
         if (j >= 0 && i < model->mesh.nodes && i != j)
-            at = sfemi_fem_find(model->row, model->col, i, j);
+            at = sfemi_fem_find(g->row, g->col, i, j);
         if (at < 0)
             return sfemi_fail_at(err, SFEM_BAD_ARGUMENT, a, -1,
                                  "line %d: (%d, %d) is no edge of the mesh", (int)l, (int)a,
@@ -20630,7 +20709,7 @@ static void sfemi_damage_tet(const sfemi_bonds *g, sfem_int e, sfem_damage_tet *
     const sfem_model *model = g->model;
     int k, i;
     sfemi_damage_gather(model->mesh.x, model->mesh.tet + 4 * (size_t)e, tet->x);
-    tet->lambda = model->lambda[e];
+    tet->lambda = model->smooth ? 0 : model->lambda[e]; /* lambda is the patches' */
     tet->mu = model->mu[e];
     tet->volume = sfemi_element_gradients(&model->mesh, e, tet->gradient);
     for (k = 0; k < 6; ++k) {
@@ -20652,6 +20731,7 @@ static void sfemi_bonds_threshold(sfemi_bonds *g, sfem_int e)
     sfem_real trace = 0, inverse = 0, least = 1e300;
     int k;
     sfemi_damage_tet(g, e, &tet);
+    tet.lambda = g->model->lambda[e];
     for (k = 0; k < 6; ++k) {
         const sfem_int edge = g->tet_edge[6 * e + k];
         const sfem_real *a, *b, p = sfemi_damage_unit(&tet, k, &a, &b), ab = sfemi_dot3(a, b);
@@ -20738,7 +20818,8 @@ static sfem_status sfemi_bonds_create(const sfem_model *model,
         g->def.upright[0] = .05;
         g->def.upright[1] = .25;
     }
-    g->edges = model->row[model->mesh.nodes] - model->mesh.nodes;
+    SFEMI_TRY(sfemi_bonds_pattern(g, err));
+    g->edges = g->row[model->mesh.nodes] - model->mesh.nodes;
     SFEMI_TRY(sfemi_bonds_allocate(g, err));
     sfemi_bonds_link(g);
     SFEMI_TRY(sfemi_bonds_measure(g, def, err));
@@ -20792,6 +20873,439 @@ static void sfemi_damage_free(sfemi_damage *d) /* NULL allowed */
     if (d) sfemi_pool_free(&d->pool);
 }
 
+/* ---- smooth tets ----
+ *
+ * A star with a damaged tet dissolves, and a patch with one drops its lambda. Each tet e of such a star that is intact
+ * has the star's share V_e/4 of the shear energy by itself then, as K0 has it; damaged tets have S_d of (0, mu). So
+ * K <= K0 remains, of whatever breaks. */
+typedef struct sfemi_apart {
+    sfemi_smooth cells;      /* the model's, but for mu, stab, weight of stars, lambda, soft of patches, and g, which are
+                              * zero of those that are gone, ring_l and in_g */
+    unsigned char *corner;   /* [model tets] bit a: the star of corner a has dissolved */
+    sfem_int near, *near_tet; /* [model tets] intact tets some of whose stars have, ascending */
+    sfem_real *trace;        /* [patches] of the strains' mean, in the last round */
+    sfem_real *change;       /* [2][nodes][3] changes of forces of a trial; zero between trials */
+    sfem_int changed, *changed_node; /* [nodes] where they are not */
+    unsigned char *mark;     /* [nodes] of changed_node, [cells] scratch, zero between uses */
+} sfemi_apart;
+
+#ifndef SFEM_NO_SMOOTH
+static sfem_status sfemi_apart_create(sfemi_damage *d, sfem_error *err)
+{
+    const sfem_model *model = d->bonds->model;
+    const sfemi_smooth *s = model->smooth;
+    const size_t cells = (size_t)s->cells, nodes = (size_t)model->mesh.nodes;
+    sfem_status status = SFEM_OK;
+    SFEMI_TAKE(sfemi_apart, d->apart, &d->pool, 1);
+    d->apart->cells = *s;
+    d->cells = &d->apart->cells;
+    SFEMI_TAKE(sfem_real, d->apart->cells.mu, &d->pool, cells);
+    SFEMI_TAKE(sfem_real, d->apart->cells.stab, &d->pool, cells);
+    SFEMI_TAKE(sfem_real, d->apart->cells.weight, &d->pool, cells);
+    SFEMI_TAKE(sfem_real, d->apart->cells.lambda, &d->pool, cells);
+    SFEMI_TAKE(sfem_real, d->apart->cells.soft, &d->pool, cells);
+    SFEMI_TAKE(sfem_real, d->apart->cells.g, &d->pool, 3 * (size_t)s->start[cells]);
+    SFEMI_TAKE(sfem_real, d->apart->cells.in_g, &d->pool, 4 * (size_t)s->start[cells]);
+    SFEMI_TAKE(sfem_real, d->apart->cells.ring_l, &d->pool, s->ring_start[nodes]);
+    SFEMI_TAKE(unsigned char, d->apart->corner, &d->pool, model->mesh.tets);
+    SFEMI_TAKE(sfem_int, d->apart->near_tet, &d->pool, model->mesh.tets);
+    SFEMI_TAKE(sfem_real, d->apart->trace, &d->pool, s->patches);
+    SFEMI_TAKE(sfem_real, d->apart->change, &d->pool, 6 * nodes);
+    SFEMI_TAKE(sfem_int, d->apart->changed_node, &d->pool, nodes);
+    SFEMI_TAKE(unsigned char, d->apart->mark, &d->pool, nodes + cells);
+done:
+    return status;
+}
+
+/* All whole. */
+static void sfemi_apart_reset(sfemi_damage *d)
+{
+    const sfem_model *model = d->bonds->model;
+    const sfemi_smooth *s = model->smooth;
+    sfemi_apart *p = d->apart;
+    const size_t bytes = (size_t)s->cells * sizeof *s->mu;
+    memcpy(p->cells.mu, s->mu, bytes);
+    memcpy(p->cells.stab, s->stab, bytes);
+    memcpy(p->cells.weight, s->weight, bytes);
+    memcpy(p->cells.lambda, s->lambda, bytes);
+    memcpy(p->cells.soft, s->soft, bytes);
+    memcpy(p->cells.g, s->g, 3 * (size_t)s->start[s->cells] * sizeof *s->g);
+    memcpy(p->cells.ring_l, s->ring_l, (size_t)s->ring_start[model->mesh.nodes] * sizeof *s->ring_l);
+    memset(p->corner, 0, (size_t)model->mesh.tets);
+    p->near = 0;
+}
+
+/* How many of the stars of a tet have dissolved, in quarters: its own share of its shear energy. */
+static sfem_real sfemi_apart_share(const sfemi_apart *p, sfem_int e)
+{
+    const int bits = p->corner[e];
+    return ((bits & 1) + (bits >> 1 & 1) + (bits >> 2 & 1) + (bits >> 3)) / 4.0;
+}
+
+/* The stabilisation's entry of an edge, from those of its tets whose stars are left: as >>smooth sums it. */
+static void sfemi_apart_ring(sfemi_damage *d, sfem_int edge)
+{
+    const sfemi_bonds *g = d->bonds;
+    sfemi_smooth *s = &d->apart->cells;
+    sfem_real sum = 0;
+    sfem_int k, side;
+    for (k = g->tet_start[edge]; k < g->tet_start[edge + 1]; ++k) {
+        const sfem_int e = g->edge_tet[k] / 6;
+        const int *end = sfemi_edge_ends(3, (int)(g->edge_tet[k] % 6));
+        sfem_real x[4][3], w = 0;
+        int a;
+        for (a = 0; a < 4; ++a) {
+            const sfem_int star = s->tet_cell[5 * e + a];
+            w += s->stab[star] / s->volume[star] * g->model->volume[e] / 4;
+        }
+        sfemi_element_gradients(&g->model->mesh, e, x);
+        sum += w * sfemi_dot3(x[end[0]], x[end[1]]);
+    }
+    for (side = 0; side < 2; ++side) {
+        const sfem_int i = g->end[2 * edge + side], j = g->end[2 * edge + !side];
+        for (k = s->ring_start[i]; s->ring[k] != j;) ++k;
+        s->ring_l[k] = sum;
+    }
+}
+
+/* Star c, of node i, dissolves. */
+static void sfemi_apart_dissolve(sfemi_damage *d, sfem_int c, sfem_int i)
+{
+    const sfemi_bonds *g = d->bonds;
+    const sfem_mesh *mesh = &g->model->mesh;
+    sfemi_apart *p = d->apart;
+    sfemi_smooth *s = &p->cells;
+    sfem_int k, at;
+    int n;
+    s->mu[c] = s->stab[c] = s->weight[c] = 0;
+    memset(s->g + 3 * (size_t)s->start[c], 0, 3 * (size_t)(s->start[c + 1] - s->start[c]) * sizeof *s->g);
+    for (k = g->near_start[i]; k < g->near_start[i + 1]; ++k) {
+        const sfem_int e = g->near_tet[k];
+        const int a = sfemi_smooth_corner(mesh->tet + 4 * (size_t)e, i);
+        if (s->tet_cell[5 * e + a] == c) p->corner[e] |= (unsigned char)(1 << a);
+    }
+    for (k = g->near_start[i]; k < g->near_start[i + 1]; ++k) {
+        const sfem_int e = g->near_tet[k];
+        const int a = sfemi_smooth_corner(mesh->tet + 4 * (size_t)e, i);
+        if (s->tet_cell[5 * e + a] != c) continue;
+        for (n = 0; n < 6; ++n) { /* each edge once, at its first tet in the star */
+            const sfem_int edge = g->tet_edge[6 * e + n];
+            for (at = g->tet_start[edge]; at < g->tet_start[edge + 1]; ++at) {
+                const sfem_int o = g->edge_tet[at] / 6;
+                const int corner = sfemi_smooth_corner(mesh->tet + 4 * (size_t)o, i);
+                if (corner >= 0 && s->tet_cell[5 * o + corner] == c) break;
+            }
+            if (g->edge_tet[at] / 6 == e) sfemi_apart_ring(d, edge);
+        }
+    }
+}
+
+/* Tet e is damaged: its stars and its patch are gone. */
+static void sfemi_apart_take(sfemi_damage *d, sfem_int e)
+{
+    sfemi_smooth *s = &d->apart->cells;
+    const sfem_int *t = d->bonds->model->mesh.tet + 4 * (size_t)e, *cell = s->tet_cell + 5 * (size_t)e;
+    const sfem_int patch = cell[4];
+    int a;
+    for (a = 0; a < 4; ++a)
+        if (s->mu[cell[a]] > 0) sfemi_apart_dissolve(d, cell[a], t[a]);
+    s->lambda[patch] = s->soft[patch] = 0;
+    memset(s->g + 3 * (size_t)s->start[patch], 0,
+           3 * (size_t)(s->start[patch + 1] - s->start[patch]) * sizeof *s->g);
+}
+
+/* Lists the intact tets that have a share of their own, and orders what is left of the cells for the forces. */
+static void sfemi_apart_list(sfemi_damage *d)
+{
+    sfemi_apart *p = d->apart;
+    sfem_int e;
+    sfemi_smooth_weave(&p->cells, d->bonds->model->mesh.nodes);
+    for (p->near = e = 0; e < d->bonds->model->mesh.tets; ++e)
+        if (p->corner[e] && d->kind[e] == SFEMI_INTACT) p->near_tet[p->near++] = e;
+}
+
+/* y = (K of what is left) z at rest. */
+static void sfemi_apart_multiply(const sfemi_damage *d, const sfem_real *z, sfem_real *y)
+{
+    const sfem_model *model = d->bonds->model;
+    const sfemi_apart *p = d->apart;
+    sfem_int k;
+    int a, c;
+    sfemi_smooth_multiply(&p->cells, p->cells.soft, model->mesh.nodes, z, y);
+    for (k = 0; k < d->tets; ++k) {
+        const sfem_int e = d->tet[k], *t = model->mesh.tet + 4 * (size_t)e;
+        sfem_real u[12], force[12];
+        sfem_damage_tet tet;
+        sfemi_damage_tet(d->bonds, e, &tet);
+        sfemi_damage_gather(z, t, u);
+        (void)sfem_damage_energy(&tet, d->s + 36 * (size_t)e, 1, u, SFEM_TANGENT_EXACT, force, NULL);
+        for (a = 0; a < 12; ++a) y[3 * (size_t)t[a / 3] + (size_t)(a % 3)] += force[a];
+    }
+    for (k = 0; k < p->near; ++k) {
+        const sfem_int e = p->near_tet[k], *t = model->mesh.tet + 4 * (size_t)e;
+        sfem_real g[4][3], grad[9], stress[9];
+        sfemi_element_gradients(&model->mesh, e, g);
+        sfemi_element_deform(z + 3 * (size_t)t[0], z + 3 * (size_t)t[1], z + 3 * (size_t)t[2], z + 3 * (size_t)t[3], g,
+                             grad);
+        (void)sfemi_law_stress(SFEM_LINEAR, 0, model->mu[e] * model->volume[e] * sfemi_apart_share(p, e), grad, stress);
+        for (a = 0; a < 4; ++a)
+            for (c = 0; c < 3; ++c) y[3 * (size_t)t[a] + (size_t)c] += sfemi_dot3(stress + 3 * c, g[a]);
+    }
+}
+
+/* val -= scale times the patches that are gone, of K0 at rest. */
+static void sfemi_apart_remove_patches(const sfemi_damage *d, sfem_real scale, sfem_matrix *k)
+{
+    const sfemi_smooth *s = d->bonds->model->smooth;
+    sfem_int c;
+    for (c = s->star_groups * SFEMI_LANES; c < s->cells; ++c)
+        if (s->soft[c] > d->apart->cells.soft[c])
+            sfemi_smooth_add_cell(s, c, -scale * s->soft[c], NULL, SFEM_TANGENT_EXACT, k);
+}
+
+/* ---- what a break does to cells ---- */
+
+typedef struct sfemi_apart_trial {
+    sfemi_damage *d;
+    sfem_int edge;         /* that would break */
+    const sfem_real *u[2]; /* [nodes][3] at both ends of the step */
+    sfem_real *sum;        /* [4] as in sfemi_damage_consider */
+} sfemi_apart_trial;
+
+static int sfemi_apart_has_edge(const sfemi_bonds *g, sfem_int e, sfem_int edge)
+{
+    const sfem_int *t = g->model->mesh.tet + 4 * (size_t)e;
+    return sfemi_smooth_corner(t, g->end[2 * edge]) >= 0 && sfemi_smooth_corner(t, g->end[2 * edge + 1]) >= 0;
+}
+
+/* Force changes of one node at end t. */
+static void sfemi_apart_push(sfemi_apart *p, sfem_int nodes, int t, sfem_int node, const sfem_real v[9],
+                             const sfem_real *g, sfem_real sign)
+{
+    sfem_real *to = p->change + 3 * ((size_t)t * (size_t)nodes + (size_t)node);
+    int c;
+    if (!p->mark[node]) p->mark[node] = 1, p->changed_node[p->changed++] = node;
+    for (c = 0; c < 3; ++c) to[c] += sign * sfemi_dot3(v + 3 * c, g);
+}
+
+/* sum[2], sum[3] += sign (F1 - F0).(P1 - P0), in the frame at rest and in the rotating one. */
+static void sfemi_apart_cross(sfem_real f[2][9], sfem_real p[2][9], sfem_real r[2][9], sfem_real sign, sfem_real sum[4])
+{
+    int i, j, c;
+    for (i = 0; i < 9; ++i) sum[2] += sign * (f[1][i] - f[0][i]) * (p[1][i] - p[0][i]);
+    for (i = 0; i < 3; ++i)
+        for (j = 0; j < 3; ++j) {
+            sfem_real df = 0, dp = 0;
+            for (c = 0; c < 3; ++c) {
+                df += r[1][3 * c + i] * f[1][3 * c + j] - r[0][3 * c + i] * f[0][3 * c + j];
+                dp += r[1][3 * c + i] * p[1][3 * c + j] - r[0][3 * c + i] * p[0][3 * c + j];
+            }
+            sum[3] += sign * df * dp;
+        }
+}
+
+/* F, R at both ends of a gradient G; R = I where the law is linear. */
+static void sfemi_apart_frames(sfem_law law, sfem_real grad[2][9], sfem_real f[2][9], sfem_real r[2][9])
+{
+    int t, i;
+    for (t = 0; t < 2; ++t) {
+        for (i = 0; i < 9; ++i) {
+            f[t][i] = grad[t][i] + (i % 4 == 0);
+            r[t][i] = i % 4 == 0;
+        }
+        if (law != SFEM_LINEAR) sfemi_element_rotation(f[t], SFEMI_TINY_F, r[t]);
+    }
+}
+
+/* Adds `sign` times cell c of the model, but for the stabilisation; its G and R are for the caller. */
+static void sfemi_apart_try_cell(const sfemi_apart_trial *q, sfem_int c, sfem_real sign, sfem_real grad[2][9],
+                                 sfem_real r[2][9])
+{
+    const sfem_model *model = q->d->bonds->model;
+    const sfemi_smooth *s = model->smooth;
+    sfem_real p[2][9], f[2][9];
+    sfem_int k;
+    int t;
+    for (t = 0; t < 2; ++t) {
+        sfemi_smooth_gradient(s, c, q->u[t], grad[t], 1);
+        q->sum[t] += sign * sfemi_law_stress((sfem_law)s->law[c / SFEMI_LANES], s->soft[c], s->mu[c], grad[t], p[t]);
+        for (k = s->start[c]; k < s->start[c + 1]; ++k)
+            sfemi_apart_push(q->d->apart, model->mesh.nodes, t, s->node[k], p[t], s->g + 3 * (size_t)k, sign);
+    }
+    sfemi_apart_frames((sfem_law)s->law[c / SFEMI_LANES], grad, f, r);
+    sfemi_apart_cross(f, p, r, sign, q->sum);
+}
+
+/* Star c, of node i, dissolves: its energy goes, and its intact tets get their shares. */
+static void sfemi_apart_try_star(const sfemi_apart_trial *q, sfem_int c, sfem_int i)
+{
+    const sfemi_damage *d = q->d;
+    const sfemi_bonds *b = d->bonds;
+    const sfem_model *model = b->model;
+    const sfemi_smooth *s = model->smooth;
+    sfem_real star[2][9], turn[2][9];
+    sfem_int k;
+    sfemi_apart_try_cell(q, c, -1, star, turn);
+    for (k = b->near_start[i]; k < b->near_start[i + 1]; ++k) {
+        const sfem_int e = b->near_tet[k], *t = model->mesh.tet + 4 * (size_t)e;
+        const int corner = sfemi_smooth_corner(t, i);
+        const sfem_real share = model->volume[e] / 4, w = s->stab[c] / s->volume[c] * share;
+        sfem_real g[4][3], grad[2][9], f[2][9], p[2][9], r[2][9];
+        int end, a, n;
+        if (s->tet_cell[5 * e + corner] != c) continue;
+        sfemi_element_gradients(&model->mesh, e, g);
+        for (end = 0; end < 2; ++end) {
+            const sfem_real *u = q->u[end];
+            sfemi_element_deform(u + 3 * (size_t)t[0], u + 3 * (size_t)t[1], u + 3 * (size_t)t[2], u + 3 * (size_t)t[3],
+                                 g, grad[end]);
+            for (n = 0; n < 9; ++n) { /* the stabilisation w/2 |F_e - F_s|^2, whose force on F_s sums to zero */
+                f[end][n] = grad[end][n] - star[end][n];
+                p[end][n] = w * f[end][n];
+                q->sum[end] -= w / 2 * f[end][n] * f[end][n];
+            }
+            for (a = 0; a < 4; ++a) sfemi_apart_push(d->apart, model->mesh.nodes, end, t[a], p[end], g[a], -1);
+        }
+        sfemi_apart_cross(f, p, turn, -1, q->sum);
+        if (d->kind[e] != SFEMI_INTACT || sfemi_apart_has_edge(b, e, q->edge)) continue;
+        for (end = 0; end < 2; ++end) {
+            q->sum[end] += sfemi_law_stress((sfem_law)model->law[e], 0, share * model->mu[e], grad[end], p[end]);
+            for (a = 0; a < 4; ++a) sfemi_apart_push(d->apart, model->mesh.nodes, end, t[a], p[end], g[a], 1);
+        }
+        sfemi_apart_frames((sfem_law)model->law[e], grad, f, r);
+        sfemi_apart_cross(f, p, r, 1, q->sum);
+    }
+}
+
+static void sfemi_apart_forget(sfemi_damage *d)
+{
+    sfemi_apart *p = d->apart;
+    const size_t n = 3 * (size_t)d->bonds->model->mesh.nodes;
+    sfem_int k;
+    int c;
+    for (k = 0; k < p->changed; ++k) {
+        p->mark[p->changed_node[k]] = 0;
+        for (c = 0; c < 3; ++c)
+            p->change[3 * (size_t)p->changed_node[k] + (size_t)c] =
+                p->change[n + 3 * (size_t)p->changed_node[k] + (size_t)c] = 0;
+    }
+    p->changed = 0;
+}
+
+/* sum += what breaking edge k does by the stars and patches of its tets, and by those stars' other tets: see
+ * sfemi_damage_consider. The changes of the forces wait for sfemi_apart_commit. */
+static void sfemi_apart_consider(sfemi_damage *d, sfem_int k, const sfem_real *u0, const sfem_real *u1, sfem_real sum[4])
+{
+    const sfemi_bonds *g = d->bonds;
+    sfemi_apart *p = d->apart;
+    unsigned char *seen = p->mark + g->model->mesh.nodes;
+    sfemi_apart_trial q;
+    sfem_int at;
+    int a, pass;
+    sfemi_apart_forget(d);
+    q.d = d;
+    q.edge = k;
+    q.u[0] = u0;
+    q.u[1] = u1;
+    q.sum = sum;
+    for (pass = 0; pass < 2; ++pass)
+        for (at = g->tet_start[k]; at < g->tet_start[k + 1]; ++at) {
+            const sfem_int e = g->edge_tet[at] / 6, *cell = p->cells.tet_cell + 5 * (size_t)e;
+            if (d->kind[e] != SFEMI_INTACT) continue;
+            for (a = 0; a < 5; ++a) {
+                sfem_real grad[2][9], r[2][9];
+                const int gone = a < 4 ? !(p->cells.mu[cell[a]] > 0) : !(p->cells.soft[cell[a]] > 0);
+                if (pass == 0 && !gone && !seen[cell[a]]) {
+                    if (a < 4) sfemi_apart_try_star(&q, cell[a], g->model->mesh.tet[4 * (size_t)e + (size_t)a]);
+                    else sfemi_apart_try_cell(&q, cell[a], -1, grad, r);
+                }
+                seen[cell[a]] = pass == 0;
+            }
+        }
+}
+
+/* The forces at both ends of the step become those after the break. */
+static void sfemi_apart_commit(sfemi_damage *d, sfem_real *f0, sfem_real *f1)
+{
+    const sfemi_apart *p = d->apart;
+    const size_t n = 3 * (size_t)d->bonds->model->mesh.nodes;
+    sfem_int k;
+    size_t c;
+    for (k = 0; k < p->changed; ++k)
+        for (c = 3 * (size_t)p->changed_node[k]; c < 3 * (size_t)p->changed_node[k] + 3; ++c) {
+            if (f0) f0[c] += p->change[c];
+            if (f1) f1[c] += p->change[n + c];
+        }
+    sfemi_apart_forget(d);
+}
+
+/* The mean traces of the strains of patches in which a tet is a candidate, all of whose tets are then. */
+static void sfemi_apart_traces(sfemi_damage *d)
+{
+    const sfemi_bonds *g = d->bonds;
+    const sfem_model *model = g->model;
+    sfemi_apart *p = d->apart;
+    unsigned char *seen = p->mark + model->mesh.nodes;
+    sfem_int e;
+    int k;
+    for (e = 0; e < model->mesh.tets; ++e)
+        if (d->candidate[e]) seen[p->cells.patch[e]] = 1;
+    memset(p->trace, 0, (size_t)p->cells.patches * sizeof *p->trace);
+    for (e = 0; e < model->mesh.tets; ++e) {
+        const sfem_int patch = p->cells.patch[e];
+        sfem_damage_tet tet;
+        if (!seen[patch]) continue;
+        d->candidate[e] = 1;
+        sfemi_damage_tet(g, e, &tet);
+        for (k = 0; k < 6; ++k) {
+            const sfem_real *a, *b, unit = sfemi_damage_unit(&tet, k, &a, &b);
+            p->trace[patch] += unit * sfemi_dot3(a, b) * d->strain[g->tet_edge[6 * e + k]] * tet.volume /
+                               p->cells.volume[p->cells.tet_cell[5 * e + 4]];
+        }
+    }
+    memset(seen, 0, (size_t)p->cells.patches);
+}
+
+/* lambda of the patch of tet e, if it is whole, and its pressure's negative. */
+static sfem_real sfemi_apart_lambda(const sfemi_damage *d, sfem_int e, sfem_real *mean)
+{
+    const sfemi_smooth *s = &d->apart->cells;
+    const sfem_int c = s->tet_cell[5 * e + 4];
+    const sfem_real lambda = s->soft[c] / s->volume[c];
+    *mean = lambda * d->apart->trace[s->patch[e]];
+    return lambda;
+}
+
+static sfem_int sfemi_apart_near(const sfemi_damage *d) { return d->apart ? d->apart->near : 0; }
+static sfem_int sfemi_apart_near_tet(const sfemi_damage *d, sfem_int k) { return d->apart->near_tet[k]; }
+static int sfemi_apart_corner(const sfemi_damage *d, sfem_int e) { return d->apart->corner[e]; }
+#else
+static sfem_status sfemi_apart_create(sfemi_damage *d, sfem_error *err) { (void)d, (void)err; return SFEM_OK; }
+static void sfemi_apart_reset(sfemi_damage *d) { (void)d; }
+static sfem_real sfemi_apart_share(const sfemi_apart *p, sfem_int e) { (void)p, (void)e; return 1; }
+static void sfemi_apart_take(sfemi_damage *d, sfem_int e) { (void)d, (void)e; }
+static void sfemi_apart_list(sfemi_damage *d) { (void)d; }
+static void sfemi_apart_multiply(const sfemi_damage *d, const sfem_real *z, sfem_real *y) { (void)d, (void)z, (void)y; }
+static void sfemi_apart_remove_patches(const sfemi_damage *d, sfem_real scale, sfem_matrix *k)
+{
+    (void)d, (void)scale, (void)k;
+}
+static void sfemi_apart_consider(sfemi_damage *d, sfem_int k, const sfem_real *u0, const sfem_real *u1, sfem_real sum[4])
+{
+    (void)d, (void)k, (void)u0, (void)u1, (void)sum;
+}
+static void sfemi_apart_commit(sfemi_damage *d, sfem_real *f0, sfem_real *f1) { (void)d, (void)f0, (void)f1; }
+static void sfemi_apart_traces(sfemi_damage *d) { (void)d; }
+static sfem_real sfemi_apart_lambda(const sfemi_damage *d, sfem_int e, sfem_real *mean)
+{
+    (void)d, (void)e;
+    *mean = 0;
+    return 0;
+}
+static sfem_int sfemi_apart_near(const sfemi_damage *d) { (void)d; return 0; }
+static sfem_int sfemi_apart_near_tet(const sfemi_damage *d, sfem_int k) { (void)d, (void)k; return 0; }
+static int sfemi_apart_corner(const sfemi_damage *d, sfem_int e) { (void)d, (void)e; return 0; }
+#endif
+
 /* All memory that damage needs but its state, about 800 bytes a tet; nothing else here allocates.
  * Follow with attach, then reset or refresh. errors SFEM_OUT_OF_MEMORY */
 static sfem_status sfemi_damage_create(const sfemi_bonds *bonds,
@@ -20815,6 +21329,7 @@ static sfem_status sfemi_damage_create(const sfemi_bonds *bonds,
         SFEMI_TAKE(sfem_int, d->lane, &d->pool, tets);
         SFEMI_TAKE(sfem_real, d->rotation, &d->pool, 9 * tets);
     }
+    if (model->smooth) SFEMI_TRY(sfemi_apart_create(d, err));
     SFEMI_TAKE(sfem_int, d->piece_of, &d->pool, nodes);
     SFEMI_TAKE(sfem_break, d->event, &d->pool, edges);
     SFEMI_TAKE(sfem_int, d->event_edge, &d->pool, edges);
@@ -20961,6 +21476,7 @@ typedef struct sfemi_damage_case {
     int kind;              /* SFEMI_INTACT .. SFEMI_DISCONNECTED */
     const sfem_real *zeta; /* [6] */
     const sfem_real *s_d;  /* [6][6] of zeta */
+    sfem_real share;       /* of an intact tet's energy that is its own: 1, less of smooth tets */
 } sfemi_damage_case;
 
 /* Energy and force of a tet. Below upright[1] the edge form, which does not see
@@ -20977,7 +21493,11 @@ static sfem_real sfemi_damage_tet_energy(const sfemi_damage *d, const sfemi_dama
     sfem_real closed[36], e[6], m[6][3], length[6], whole[12], slope[12];
     sfem_real psi, psi_whole, j, phi, dphi;
     int i;
-    if (kind == SFEMI_INTACT) return sfemi_damage_undamaged(tet, law, u, force);
+    if (kind == SFEMI_INTACT) {
+        psi = sfemi_damage_undamaged(tet, law, u, force);
+        for (i = 0; at->share != 1 && i < 12; ++i) force[i] *= at->share;
+        return at->share * psi;
+    }
     memset(force, 0, 12 * sizeof *force);
     if (kind == SFEMI_DISCONNECTED && !def->closure) return 0;
     if (def->closure) {
@@ -21111,6 +21631,7 @@ static void sfemi_damage_refresh(sfemi_damage *d)
     sfem_real zeta[6];
     sfem_int e;
     sfemi_damage_unmask(d);
+    if (d->apart) sfemi_apart_reset(d);
     d->tets = d->events = d->fresh_count = 0;
     for (e = 0; e < model->mesh.tets; ++e) {
         const unsigned mask = sfemi_damage_zetas(d, e, zeta);
@@ -21122,7 +21643,9 @@ static void sfemi_damage_refresh(sfemi_damage *d)
         d->kind[e] = (unsigned char)sfemi_damage_assess(d, &tet, zeta, mask, d->s + 36 * (size_t)e);
         d->tet[d->tets++] = e;
         sfemi_damage_mask(d, e);
+        if (d->apart) sfemi_apart_take(d, e);
     }
+    if (d->apart) sfemi_apart_list(d);
     sfemi_damage_find_pieces(d);
 }
 
@@ -21196,6 +21719,7 @@ static unsigned sfemi_damage_case_of(const sfemi_damage *d, sfem_int e, sfem_dam
     at->kind = d->kind[e];
     at->zeta = zeta;
     at->s_d = d->s + 36 * (size_t)e;
+    at->share = d->apart ? sfemi_apart_share(d->apart, e) : 1;
     return sfemi_damage_zetas(d, e, zeta);
 }
 
@@ -21233,14 +21757,21 @@ static void sfemi_damage_rotation(const sfemi_damage *d, sfem_int e, const sfem_
     sfemi_element_rotation(f, SFEMI_TINY_F, r);
 }
 
+/* Damaged tets, then those that have a share of their own. */
+static sfem_int sfemi_damage_listed(const sfemi_damage *d, sfem_int i)
+{
+    return i < d->tets ? d->tet[i] : sfemi_apart_near_tet(d, i - d->tets);
+}
+
 static void sfemi_damage_forces_task(void *data, sfem_int index)
 {
     const sfemi_damage_job *job = (const sfemi_damage_job *)data;
     sfemi_damage *d = job->d;
+    const sfem_int all = d->tets + sfemi_apart_near(d);
     sfem_int i = index * SFEMI_DAMAGE_TASK, end = i + SFEMI_DAMAGE_TASK;
-    if (end > d->tets) end = d->tets;
+    if (end > all) end = all;
     for (; i < end; ++i) {
-        const sfem_int e = d->tet[i];
+        const sfem_int e = sfemi_damage_listed(d, i);
         sfem_real *force = d->force + 12 * (size_t)i, u[12];
         sfemi_damage_gather(job->ask->u, d->bonds->model->mesh.tet + 4 * (size_t)e, u);
         if (!sfemi_damage_upright(d, e, u, d->energy + i, force))
@@ -21258,6 +21789,7 @@ static void sfemi_damage_forces_task(void *data, sfem_int index)
 static sfem_real sfemi_damage_forces(sfemi_damage *d, const sfemi_forces *ask)
 {
     const sfem_model *model = d->bonds->model;
+    const sfem_int all = d->tets + sfemi_apart_near(d);
     sfem_real energy = 0;
     sfemi_damage_job job;
     sfem_int i;
@@ -21265,10 +21797,9 @@ static sfem_real sfemi_damage_forces(sfemi_damage *d, const sfemi_forces *ask)
     job.d = d;
     job.ask = ask;
     job.rotation = ask->sum && !ask->rotation ? d->rotation : ask->rotation;
-    sfemi_run(ask->exec, (d->tets + SFEMI_DAMAGE_TASK - 1) / SFEMI_DAMAGE_TASK, sfemi_damage_forces_task,
-              &job);
-    for (i = 0; i < d->tets; ++i) {
-        const sfem_int *t = model->mesh.tet + 4 * (size_t)d->tet[i];
+    sfemi_run(ask->exec, (all + SFEMI_DAMAGE_TASK - 1) / SFEMI_DAMAGE_TASK, sfemi_damage_forces_task, &job);
+    for (i = 0; i < all; ++i) {
+        const sfem_int *t = model->mesh.tet + 4 * (size_t)sfemi_damage_listed(d, i);
         const sfem_real *f = d->force + 12 * (size_t)i;
         for (k = 0; k < 12; ++k) ask->force[3 * (size_t)t[k / 3] + (size_t)(k % 3)] += f[k];
         energy += d->energy[i];
@@ -21290,17 +21821,27 @@ static sfem_real sfemi_damage_total_forces(sfemi_damage *d, const sfemi_forces *
 {
     const sfem_model *model = d->bonds->model;
     const sfem_real *r = ask->rotation ? ask->rotation : d->rotation;
+    sfemi_forces own = *ask;
     sfem_real energy;
     sfem_int i;
     size_t a, k;
     SFEM_ASSERT(d->block);
-    energy = sfemi_fem_forces(model, d->block, ask);
+    own.smooth = d->cells;
+    own.left_out = d->cells ? d->kind : NULL;
+    energy = sfemi_fem_forces(model, d->block, &own);
     energy += sfemi_damage_forces(d, ask);
     for (i = 0; ask->sum && i < d->tets; ++i) {
         const size_t e = (size_t)d->tet[i];
         const sfem_real weight = sfemi_fem_weight(model, d->tet[i]);
         for (a = 0; a < 4; ++a)
             for (k = 0; k < 9; ++k)
+                ask->sum[9 * (size_t)model->mesh.tet[4 * e + a] + k] += weight * r[9 * e + k];
+    }
+    for (i = 0; ask->sum && i < sfemi_apart_near(d); ++i) { /* in place of their stars' */
+        const size_t e = (size_t)sfemi_apart_near_tet(d, i);
+        const sfem_real weight = sfemi_fem_weight(model, (sfem_int)e);
+        for (a = 0; a < 4; ++a)
+            for (k = 0; (sfemi_apart_corner(d, (sfem_int)e) >> a & 1) && k < 9; ++k)
                 ask->sum[9 * (size_t)model->mesh.tet[4 * e + a] + k] += weight * r[9 * e + k];
     }
     return energy;
@@ -21356,7 +21897,7 @@ static void sfemi_damage_total_tangent(const sfemi_damage *d, const sfem_real *u
     const sfem_model *model = d->bonds->model;
     sfem_int i;
     SFEM_ASSERT(d->block);
-    sfemi_fem_tangent(model, d->block, u, kind, tangent, exec);
+    sfemi_fem_tangent(model, d->block, d->cells, u, kind, tangent, exec);
     for (i = 0; i < d->tets; ++i) {
         const sfem_int e = d->tet[i];
         sfem_real local[12], zeta[6], k[144];
@@ -21385,6 +21926,19 @@ static void sfemi_damage_add_stiffness(const sfemi_damage *d, sfem_real scale, s
         sfem_law_tet(SFEM_LINEAR, tet.lambda, tet.mu, tet.x, still, SFEM_TANGENT_PSD, NULL, k);
         sfemi_damage_scatter(model, e, -scale, k, val);
     }
+    if (d->apart) {
+        sfem_matrix k = model->stiffness;
+        k.val = val;
+        sfemi_apart_remove_patches(d, scale, &k);
+    }
+}
+
+/* y = K z of what is left of smooth tets, small strain about rest; 0 if the body cannot break. */
+static int sfemi_damage_multiply_left(const sfemi_damage *d, const sfem_real *z, sfem_real *y)
+{
+    if (!d || !d->apart) return 0;
+    sfemi_apart_multiply(d, z, y);
+    return 1;
 }
 
 /* y += (K_frac - K) z, small strain about rest. */
@@ -21845,7 +22399,7 @@ static void sfemi_damage_tet_stress(const sfemi_damage *d, sfem_int e, const sfe
                                     sfem_real s[6], sfem_real diagonal[6])
 {
     const sfem_real *s_d = d->s + 36 * (size_t)e;
-    sfem_real strain[6], zeta[6], closed[36];
+    sfem_real strain[6], zeta[6], closed[36], lambda = 0, mean = 0;
     int k, l;
     for (k = 0; k < 6; ++k) strain[k] = d->strain[d->bonds->tet_edge[6 * e + k]];
     if (d->kind[e] == SFEMI_INTACT) {
@@ -21855,10 +22409,12 @@ static void sfemi_damage_tet_stress(const sfemi_damage *d, sfem_int e, const sfe
             for (l = 0; l < 9; ++l) eps[l] += p * (a[l / 3] * b[l % 3] + b[l / 3] * a[l % 3]);
         }
         sfemi_law_hooke(tet->lambda, tet->mu, eps, sigma);
+        if (d->apart) lambda = sfemi_apart_lambda(d, e, &mean);
+        for (l = 0; d->apart && l < 9; l += 4) sigma[l] += mean;
         for (k = 0; k < 6; ++k) {
-            const sfem_real *a, *b, p = sfemi_damage_unit(tet, k, &a, &b);
+            const sfem_real *a, *b, p = sfemi_damage_unit(tet, k, &a, &b), ab = p * sfemi_dot3(a, b);
             for (l = 0, s[k] = 0; l < 9; ++l) s[k] += p * a[l / 3] * sigma[l] * b[l % 3];
-            diagonal[k] = sfemi_damage_entry(tet, k, k);
+            diagonal[k] = sfemi_damage_entry(tet, k, k) + lambda * ab * ab;
         }
         return;
     }
@@ -22051,6 +22607,7 @@ static void sfemi_damage_consider(sfemi_damage *d, sfem_int k, sfem_real to,
         for (i = 0; i < 24; ++i) local[36 + i] -= f[i];
         for (i = 0; i < 4; ++i) sum[i] += after[i] - before[i];
     }
+    if (d->apart) sfemi_apart_consider(d, k, step->u0, step->u1, sum);
 }
 
 /* Makes it so. */
@@ -22069,6 +22626,7 @@ static void sfemi_damage_commit(sfemi_damage *d, sfem_int k, sfem_real to,
         if (d->kind[e] == SFEMI_INTACT) {
             d->fresh[d->fresh_count++] = e;
             sfemi_damage_mask(d, e);
+            if (d->apart) sfemi_apart_take(d, e);
             ++change->damaged;
         }
         memcpy(d->s + 36 * (size_t)e, local, 36 * sizeof *local);
@@ -22079,6 +22637,7 @@ static void sfemi_damage_commit(sfemi_damage *d, sfem_int k, sfem_real to,
             if (step->f1) step->f1[to_node] += local[48 + i];
         }
     }
+    if (d->apart) sfemi_apart_commit(d, step->u0 != step->u1 ? step->f0 : NULL, step->f1);
 }
 
 static void sfemi_damage_record(sfemi_damage *d, sfem_int k, sfem_break_reason reason,
@@ -22146,6 +22705,7 @@ static void sfemi_damage_merge(sfemi_damage *d)
     memcpy(d->tet, d->merge, (size_t)n * sizeof *d->tet);
     d->tets = n;
     d->fresh_count = 0;
+    if (d->apart) sfemi_apart_list(d);
 }
 
 /* The energy that sets the limit of edge k: its price, or what it stores at its strength. */
@@ -22387,6 +22947,7 @@ static void sfemi_damage_round(sfemi_damage *d, const sfemi_damage_step *step,
     job.step = step;
     sfemi_run(step->exec, edges, sfemi_damage_strain_task, &job);
     sfemi_run(step->exec, tets, sfemi_damage_candidate_task, &job);
+    if (d->apart) sfemi_apart_traces(d);
     candidate = memchr(d->candidate, 1, (size_t)g->model->mesh.tets) != NULL;
     if (candidate) {
         sfemi_run(step->exec, edges, sfemi_damage_near_task, &job);
@@ -22639,6 +23200,11 @@ static void sfemi_damage_multiply(const sfemi_damage *d, const sfem_real *z, sfe
 static void sfemi_damage_add_stiffness(const sfemi_damage *d, sfem_real scale, sfem_real *val)
 {
     (void)d, (void)scale, (void)val;
+}
+static int sfemi_damage_multiply_left(const sfemi_damage *d, const sfem_real *z, sfem_real *y)
+{
+    (void)d, (void)z, (void)y;
+    return 0;
 }
 static sfem_real sfemi_damage_forces(sfemi_damage *d, const sfemi_forces *ask) { (void)d, (void)ask; return 0; }
 static sfem_real sfemi_damage_total_forces(sfemi_damage *d, const sfemi_forces *ask) { (void)d, (void)ask; return 0; }
@@ -25581,6 +26147,12 @@ static void sfemi_pqr_weigh(sfem_body *b, sfem_real h2)
     t->load[1] = 1 - t->load[0] - t->load[2];
 }
 
+/* Of smooth tets, does A hold K itself, not K0? Where one solve is all there is, of Newmark and KR-alpha. */
+static int sfemi_body_holds_k(const sfem_body *b)
+{
+    return b->scheme.newmark || (b->scheme.lagging && !b->scheme.rotates);
+}
+
 /* What a step adds its acceleration to: b->base where there is one, else w. */
 static const sfem_real *sfemi_pqr_base(const sfem_body *b) { return b->base ? b->base : b->state.w; }
 
@@ -25614,7 +26186,7 @@ static void sfemi_pqr_predict(sfem_body *b)
     const int damped = b->alpha != 0 || b->beta != 0 || b->zd != NULL;
     const sfem_real *base = sfemi_pqr_base(b), *w = sfemi_body_way(b);
     /* smooth tets: what A's K0 is applied to, which is not what K is; without a factor of K itself */
-    sfem_real *own = b->model->smooth && !b->scheme.newmark ? b->spare : b->zk;
+    sfem_real *own = b->model->smooth && !sfemi_body_holds_k(b) ? b->spare : b->zk;
     int with_mass, c;
     sfem_int j;
     size_t i;
@@ -26389,7 +26961,8 @@ static void sfemi_fracture_smooth(sfem_body *b, const sfem_real *z, sfem_real *s
     const sfem_model *model = b->model;
     sfem_real *kz = b->safeguard.trial_f;
     size_t i;
-    sfemi_smooth_multiply(model->smooth, model->smooth->soft, model->mesh.nodes, z, sum);
+    if (!sfemi_damage_multiply_left(b->damage, z, sum))
+        sfemi_smooth_multiply(model->smooth, model->smooth->soft, model->mesh.nodes, z, sum);
     sfem_matrix_multiply(b->refactor.live ? b->refactor.k + b->refactor.live - 1 : &model->stiffness, z, kz, &b->exec);
     for (i = 0; i < 3 * (size_t)model->mesh.nodes; ++i) sum[i] -= kz[i];
 }
@@ -26484,7 +27057,7 @@ done:
 /* Is what A holds of K another matrix than K? */
 static int sfemi_resume_bounded(const sfem_body *b)
 {
-    if (b->model->smooth && !b->scheme.newmark) return 1;
+    if (b->model->smooth && !sfemi_body_holds_k(b)) return 1;
     return b->scheme.rotates && (sfemi_damage_tets(b->damage) > 0 || b->refactor.live || b->def.frame == SFEM_FRAME_ISOTROPIC);
 }
 
@@ -30230,12 +30803,13 @@ done:
 static sfem_status sfemi_body_check_smooth(const sfem_body *b, const sfem_body_def *def, sfem_error *err)
 {
     if (!b->model->smooth) return SFEM_OK;
-    if (def->damage)
-        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "bodies of smooth tets cannot break yet: take SFEM_TET_LINEAR");
-    if (b->scheme.lagging)
+    if (def->damage && !b->model->rotates)
         return sfemi_fail(err, SFEM_BAD_ARGUMENT,
-                          "KR-alpha needs the exact K in its factor, which smooth tets do not have: take SFEM_PQR, "
-                          "whose def.dissipation damps fast modes, or SFEM_GENERALIZED_ALPHA");
+                          "smooth tets of the linear law cannot break: take SFEM_COROTATIONAL, or SFEM_TET_LINEAR");
+    if (b->scheme.lagging && b->model->rotates)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT,
+                          "KR-alpha needs the exact K in its factor, which smooth tets whose law rotates do not have: take "
+                          "SFEM_PQR, whose def.dissipation damps fast modes, or SFEM_GENERALIZED_ALPHA");
     if (def->damping_force.tangent)
         return sfemi_fail(err, SFEM_BAD_ARGUMENT,
                           "with smooth tets a damping force has no tangent: its pattern is not that of the factor");
@@ -30439,7 +31013,7 @@ SFEM_DEF sfem_status sfem_body_prepare(sfem_body *b, sfem_real h, sfem_error *er
         key.cd = b->model->damping ? b->scheme.q / 2 * h : 0;
         key.mask = b->mask;
         key.upper_bound = b->scheme.rotates && b->def.frame == SFEM_FRAME_ISOTROPIC;
-        key.exact = b->model->smooth && b->scheme.newmark; /* one solve is all there is */
+        key.exact = b->model->smooth && sfemi_body_holds_k(b);
         key.precision = b->def.precision;
         key.ordering = b->def.ordering;
         status = sfemi_factor_get(b->model, &key, &b->exec, &f, &b->factors_made, err);

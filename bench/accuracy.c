@@ -1150,14 +1150,17 @@ static void calculix(void)
 }
 
 #include "tets.h"
+#include "race.h"
 
 int main(int argc, char **argv)
 {
     static const ex_option table[] = {
         {"--no-ccx", NULL, NULL, "without CalculiX"},
+        {"--race", "FILE.svg", NULL, "only: error against run time of linear, smooth, quadratic tets, drawn"},
         {"--references", "DIR", "build/bench-real", "where those of real meshes are kept"},
         {NULL, NULL, NULL, NULL}};
     const ex_options o = ex_parse(argc, argv, "The verification table.", table);
+    if (ex_given(&o, "--race")) return race(ex_text(&o, "--race")), 0;
     ex_make_directory(ex_text(&o, "--references"));
     patches();
     space();

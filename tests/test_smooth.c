@@ -1352,20 +1352,79 @@ static void what_bodies_cannot_do_is_refused(void **state)
     sfem_mesh mesh = block(1, 1, 1, 1, SFEM_CELL_6_TETS);
     sfem_model *model = smooth_model(&mesh, smooth_material(SFEM_COROTATIONAL, 0.45));
     sfem_body_def def = sfem_default_body_def();
-    sfem_damage_def damage = sfem_default_damage_def();
     sfem_body *body;
     sfem_error err;
     (void)state;
-    def.damage = &damage;
-    assert_status(sfem_body_create(model, &def, &body, &err), SFEM_BAD_ARGUMENT);
-    assert_names(err, "cannot break");
-    def.damage = NULL;
     def.integrator = SFEM_KR_ALPHA;
     assert_status(sfem_body_create(model, &def, &body, &err), SFEM_BAD_ARGUMENT);
     assert_names(err, "KR-alpha");
     sfem_model_free(model);
     sfem_mesh_free(&mesh);
 }
+
+#ifndef SFEM_NO_MODES
+/* A linear method moves a mode by its frequency alone: a body of smooth tets and one of linear tets, whose modulus makes
+ * its frequency the same, have the same amplitudes. K0 in place of K would not. */
+static void kr_alpha_and_newmark_are_those_of_k_itself(void **state)
+{
+    static const sfem_integrator integrator[3] = {SFEM_KR_ALPHA, SFEM_NEWMARK, SFEM_PQR};
+    sfem_mesh mesh = block(3, 1, 1, 3, SFEM_CELL_6_TETS);
+    const size_t n = 3 * (size_t)mesh.nodes;
+    double amplitude[2][3][40], lambda = 0;
+    sfem_int pin[4], pins = 0, i;
+    int tet, k, step;
+    (void)state;
+    for (i = 0; i < mesh.nodes; ++i)
+        if (mesh.x[3 * i] == 0) pin[pins++] = i;
+    for (tet = SFEM_TET_SMOOTH; tet >= SFEM_TET_LINEAR; --tet) {
+        sfem_material material = smooth_material(SFEM_LINEAR, 0.45);
+        sfem_modes_def def = sfem_default_modes_def();
+        sfem_model *model;
+        sfem_modes modes;
+        sfem_error err;
+        int tries;
+        material.tet = (sfem_tet)tet;
+        def.modes = 2;
+        def.pins = pin;
+        def.pin_count = pins;
+        for (tries = 0;; ++tries) { /* lambda is proportional to the modulus */
+            model = smooth_model(&mesh, material);
+            assert_ok(sfem_modes_create(model, &def, &modes, &err), err);
+            if (tet == SFEM_TET_SMOOTH) lambda = modes.lambda[0];
+            if (tries == (tet == SFEM_TET_LINEAR)) break;
+            material.young *= lambda / modes.lambda[0];
+            sfem_modes_free(&modes);
+            sfem_model_free(model);
+        }
+        assert_near(modes.lambda[0], lambda, 1e-9, 0);
+        for (k = 0; k < 3; ++k) {
+            sfem_body_def body_def = sfem_default_body_def();
+            sfem_body *body;
+            body_def.integrator = integrator[k];
+            body_def.p = 0.3;
+            body_def.pins = pin;
+            body_def.pin_count = pins;
+            assert_ok(sfem_body_create(model, &body_def, &body, &err), err);
+            assert_ok(sfem_body_set_state(body, NULL, modes.phi, &err), err);
+            for (step = 0; step < 40; ++step) {
+                double sum = 0;
+                size_t j;
+                assert_ok(sfem_body_step(body, 0.7 / sqrt(lambda), &err), err);
+                for (j = 0; j < n; ++j)
+                    sum += sfem_model_node_mass(model)[j / 3] * modes.phi[j] * sfem_body_displacement(body)[j];
+                amplitude[tet][k][step] = sum * sqrt(lambda);
+            }
+            sfem_body_free(body);
+        }
+        sfem_modes_free(&modes);
+        sfem_model_free(model);
+    }
+    for (step = 0; step < 40; ++step)
+        for (k = 0; k < 2; ++k) assert_near(amplitude[0][k][step], amplitude[1][k][step], 0, 1e-8);
+    assert_true(fabs(amplitude[0][2][39] - amplitude[1][2][39]) > 1e-3); /* (p,q,r) takes K0 */
+    sfem_mesh_free(&mesh);
+}
+#endif
 
 #ifndef SFEM_NO_MODES
 /* Free and held: those of the dense matrices, none missing, and six rigid ones. */
@@ -1528,6 +1587,7 @@ int main(void)
         cmocka_unit_test(options_of_rotating_bodies_work),
         cmocka_unit_test(central_differences_need_no_factor),
         cmocka_unit_test(what_bodies_cannot_do_is_refused),
+        cmocka_unit_test(kr_alpha_and_newmark_are_those_of_k_itself),
         cmocka_unit_test(modes_are_those_of_k_itself),
         cmocka_unit_test(a_modal_body_swings_like_the_whole),
         cmocka_unit_test(every_allocation_may_fail),
