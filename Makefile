@@ -156,6 +156,37 @@ bench-eigen: $(BUILD)/bench/eigen ## modes beside ARPACK on CHOLMOD where instal
 
 examples: $(EXAMPLE_PROGRAMS) ## build every example
 
+# Debian: clang, lld, wasi-libc, libclang-rt-14-dev-wasm32. No contraction, portable kernels, functions of its own in
+# place of libm's: the native program computes the same bits.
+WEB = $(BUILD)/web
+WEB_CC ?= clang
+WEB_SOURCES = examples/web/page.c examples/web/portable_math.h $(wildcard examples/scenes/*.h) softfem.h
+WEB_FLAGS = -std=c99 $(WARNINGS) -Werror -I. -DSFEM_NO_DISPATCH -ffp-contract=off
+WASM_FLAGS = --target=wasm32-wasi -mexec-model=reactor -Wl,-z,stack-size=1048576 -Wl,--stack-first -Wl,--strip-all
+
+web: $(WEB)/softfem.html ## build/web/softfem.html: scenes to play with in a browser, one file
+
+serve: $(WEB)/softfem.html ## the same, served to browsers: http://localhost:8000/softfem.html
+	cd $(WEB) && python3 -m http.server 8000
+
+test-web: $(WEB)/softfem.html $(WEB)/page ## the page in headless Chromium, its hashes beside those of a native program
+	@python3 tests/web.py $^
+
+$(WEB)/simd.wasm: $(WEB_SOURCES)
+	@mkdir -p $(@D)
+	$(WEB_CC) $(WASM_FLAGS) $(WEB_FLAGS) -O2 -msimd128 -o $@ $<
+
+$(WEB)/plain.wasm: $(WEB_SOURCES)
+	@mkdir -p $(@D)
+	$(WEB_CC) $(WASM_FLAGS) $(WEB_FLAGS) -O1 -o $@ $<
+
+$(WEB)/page: $(WEB_SOURCES)
+	@mkdir -p $(@D)
+	$(WEB_CC) $(WEB_FLAGS) -O1 -o $@ $< -lm
+
+$(WEB)/softfem.html: $(WEB)/simd.wasm $(WEB)/plain.wasm examples/web/page.html examples/web/page.js examples/web/build.py
+	python3 examples/web/build.py $(WEB)/simd.wasm $(WEB)/plain.wasm $@
+
 gallery: $(BUILD)/examples/gallery ## the pictures of examples/gallery/, the first of them that of README.md
 	$(BUILD)/examples/gallery --out examples/gallery
 

@@ -6,13 +6,12 @@
 
 SC_STATIC sfem_status sc_jelly_create(sc_world *w, sfem_error *err)
 {
-    static const double box[2][3] = {{-0.3, -0.3, 0}, {0.3, 0.3, 0.3}};
     const int count = (int)sc_value(w, "jellies", 1), across = count < 2 ? 1 : count < 5 ? 2 : count < 10 ? 3 : 4;
     const int deep = (count + across - 1) / across;
     const sfem_damage_def damage = sc_damage_def(w);
     sfem_body_def def;
     int k;
-    SC_TRY(sc_mesh_of(w, sc_jelly, box, err));
+    SC_TRY(sc_mesh_of(w, err));
     SC_TRY(sc_make_model(w, err));
     sc_select(w, 2, -1, 0.012, w->pin, &w->pins);
     def = sc_body_def(w);
@@ -49,6 +48,6 @@ static const sc_scene sc_scene_jelly = {
     {SC_YOUNG(8e3), SC_POISSON(0.45), SC_DENSITY(1000), SC_DAMPING(1), SC_GRAVITY(9.81), SC_TETS(1200),
      {"jellies", "", 1, 12, 4, 0, SC_AGAIN}, {"shake", "mm", 0, 60, 15, 0, SC_LIVE}, {"frequency", "Hz", 0.5, 10, 2.5, 0, SC_LIVE},
      SC_STEP(1000 / 60.0), SC_ACCURACY(1e-6)},
-    sc_jelly_create, sc_jelly_drive};
+    sc_jelly_create, sc_jelly_drive, &sc_shape_jelly};
 
 #endif

@@ -68,9 +68,11 @@ SC_STATIC sfem_status sc_mesh_create(sc_world *w, sfem_error *err)
     sfem_body_def def;
     sfem_int i;
     /* the file is of the one who opens the world, who keeps its skin: the one thing here that is not const */
-    if (w->data) SC_TRY(sc_read_file(w, (sc_file *)(uintptr_t)w->data, err));
-    else SC_TRY(sfem_mesh_ball(0.5, 5, NULL, &w->mesh, err));
-    if (!w->data) sc_put_upright(w->mesh.x, w->mesh.nodes, 2);
+    if (!sc_same_mesh(w)) {
+        if (w->data) SC_TRY(sc_read_file(w, (sc_file *)(uintptr_t)w->data, err));
+        else SC_TRY(sfem_mesh_ball(0.5, 5, NULL, &w->mesh, err));
+        if (!w->data) sc_put_upright(w->mesh.x, w->mesh.nodes, 2);
+    }
     SC_TRY(sc_take_mesh(w, err));
     SC_TRY(sc_make_model(w, err));
     for (i = 0; i < w->mesh.nodes; ++i) high = fmax(high, w->mesh.x[3 * (size_t)i + 2]);
@@ -88,6 +90,6 @@ static const sc_scene sc_scene_mesh = {
     {SC_YOUNG(6e4), SC_POISSON(0.35), SC_DENSITY(1000), SC_DAMPING(1), SC_GRAVITY(9.81), SC_TETS(2500),
      {"held", "of the height", -0.3, 0.3, 0.04, 0, SC_AGAIN}, {"up", "axis", 0, 2, 1, 0, SC_AGAIN}, SC_STEP(1000 / 60.0),
      SC_ACCURACY(1e-6)},
-    sc_mesh_create, NULL};
+    sc_mesh_create, NULL, NULL};
 
 #endif

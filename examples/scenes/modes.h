@@ -41,7 +41,7 @@ SC_STATIC sfem_status sc_modes_create(sc_world *w, sfem_error *err)
     sfem_modal_def def = sfem_default_modal_def();
     double reach[SC_ZOO];
     int k;
-    SC_TRY(sc_make_bear(w, err));
+    SC_TRY(sc_mesh_of(w, err));
     SC_TRY(sc_make_model(w, err));
     SC_TRY(sc_modes_reduce(w, reach, err));
     def.max_handle_nodes = SC_PATCH;
@@ -71,7 +71,7 @@ static const sc_scene sc_scene_modes = {
     "modes", "Modal zoo", "Nine bears, each in a mode of its own. Pull at one.",
     {SC_YOUNG(1e5), SC_POISSON(0.3), SC_DENSITY(1000), {"ratio", "%", 0, 50, 0, 0, SC_AGAIN},
      {"amplitude", "m", 0, 0.3, 0.12, 0, SC_AGAIN}, SC_TETS(1500), SC_STEP(4)},
-    sc_modes_create, NULL};
+    sc_modes_create, NULL, &sc_shape_bear};
 
 #endif
 #endif

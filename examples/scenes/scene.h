@@ -56,11 +56,18 @@ typedef struct sc_slider {
 
 typedef struct sc_world sc_world;
 
+/* What the bodies of a scene are made of, for those who want it finer than the tets are, to draw it. */
+typedef struct sc_shape {
+    sfem_sdf distance;
+    double box[2][3];
+} sc_shape;
+
 typedef struct sc_scene {
     const char *name, *title, *hint;
     sc_slider slider[SC_SLIDERS];                       /* those without a name are not there */
     sfem_status (*create)(sc_world *w, sfem_error *err); /* mesh, model, bodies, by the values of w */
     sfem_status (*drive)(sc_world *w, sfem_error *err);  /* before each step; or NULL */
+    const sc_shape *shape;                               /* or NULL */
 } sc_scene;
 
 typedef struct sc_item {
@@ -75,7 +82,8 @@ typedef struct sc_item {
 struct sc_world {
     const sc_scene *scene;
     double value[SC_SLIDERS];
-    const void *data; /* of the one who opens it, for create */
+    const void *data;    /* of the one who opens it, for create */
+    const sc_world *like; /* for create: one with the same mesh, or NULL */
     sfem_mesh mesh;   /* all items have the same */
     sfem_surface surface;
     sfem_model *model;
@@ -160,6 +168,13 @@ SC_STATIC sfem_status sc_take_mesh(sc_world *w, sfem_error *err)
     w->x = (double *)calloc(3 * n, sizeof *w->x);
     if (!w->pin || !w->group || !w->x) return sc_fail(err, SFEM_OUT_OF_MEMORY, "out of memory");
     return SFEM_OK;
+}
+
+/* The mesh of w->like; 0 if there is none, or memory runs out. */
+SC_STATIC int sc_same_mesh(sc_world *w)
+{
+    const sfem_mesh *from = w->like ? &w->like->mesh : NULL;
+    return from && sfem_mesh_copy(from->nodes, from->x, from->tets, from->tet, NULL, &w->mesh, NULL) == SFEM_OK;
 }
 
 /* A block, its inner nodes moved by up to 1.5 `jitter`, so that cracks do not follow the cells. */
@@ -266,8 +281,9 @@ SC_STATIC void sc_close(sc_world *w)
     free(w);
 }
 
-/* values: [SC_SLIDERS], or NULL for the defaults; data: see sc_world. NULL on failure. */
-SC_STATIC sc_world *sc_open_with(const sc_scene *scene, const double *values, const void *data, sfem_error *err)
+/* values: [SC_SLIDERS], or NULL for the defaults; data, like: see sc_world. NULL on failure. */
+SC_STATIC sc_world *sc_open_with(const sc_scene *scene, const double *values, const void *data, const sc_world *like,
+                                 sfem_error *err)
 {
     sc_world *w = (sc_world *)calloc(1, sizeof *w);
     sfem_status status = SFEM_OK;
@@ -278,6 +294,7 @@ SC_STATIC sc_world *sc_open_with(const sc_scene *scene, const double *values, co
     }
     w->scene = scene;
     w->data = data;
+    w->like = like;
     w->holding = -1;
     w->floor = SC_NO_FLOOR;
     w->speed = 1;
@@ -287,6 +304,7 @@ SC_STATIC sc_world *sc_open_with(const sc_scene *scene, const double *values, co
         if (status == SFEM_OK && scene->slider[k].name) status = sc_check(scene, k, w->value[k], err);
     }
     if (status == SFEM_OK) status = scene->create(w, err);
+    w->like = NULL;
     if (status == SFEM_OK) return w;
     sc_close(w);
     return NULL;
@@ -294,7 +312,7 @@ SC_STATIC sc_world *sc_open_with(const sc_scene *scene, const double *values, co
 
 SC_STATIC sc_world *sc_open(const sc_scene *scene, const double *values, sfem_error *err)
 {
-    return sc_open_with(scene, values, NULL, err);
+    return sc_open_with(scene, values, NULL, NULL, err);
 }
 
 SC_STATIC double sc_step_length(const sc_world *w) { return 1e-3 * sc_value(w, "h", 1000 / 60.0); }
@@ -461,8 +479,12 @@ SC_STATIC sfem_status sc_go_on(sc_world *to, const sc_world *from, sfem_error *e
     v = (double *)calloc(n, sizeof *v);
     if (!v) return sc_fail(err, SFEM_OUT_OF_MEMORY, "out of memory");
     for (k = 0; k < from->items && status == SFEM_OK; ++k) {
+        /* a pin holds its node where that is when it is pinned, so pins come last */
+        status = sfem_body_set_pins(to->item[k].body, 0, NULL, NULL, err);
+        if (status != SFEM_OK) break;
         sfem_body_velocities(from->item[k].body, v);
         status = sfem_body_set_state(to->item[k].body, sfem_body_displacement(from->item[k].body), v, err);
+        if (status == SFEM_OK) status = sfem_body_set_pins(to->item[k].body, from->pins, from->pin, NULL, err);
     }
     free(v);
     to->time = from->time;
@@ -488,7 +510,7 @@ SC_STATIC sfem_status sc_set(sc_world **at, int k, double value, sfem_error *err
     }
     memcpy(values, w->value, sizeof values);
     values[k] = value;
-    next = sc_open_with(w->scene, values, w->data, err);
+    next = sc_open_with(w->scene, values, w->data, w->scene->slider[k].change == SC_KEEP ? w : NULL, err);
     if (!next) return err ? err->status : SFEM_BAD_ARGUMENT;
     if (w->scene->slider[k].change == SC_KEEP && sc_go_on(next, w, err) != SFEM_OK) {
         sc_close(next);

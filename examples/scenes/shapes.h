@@ -70,18 +70,16 @@ SC_STATIC sfem_real sc_jelly(const sfem_real x[3], void *user)
     return fmax(fmax(-sc_blend(-side, -top, 0.03), hole), 0.002 - z);
 }
 
-SC_STATIC sfem_status sc_mesh_of(sc_world *w, sfem_sdf f, const double box[2][3], sfem_error *err)
+static const sc_shape sc_shape_bear = {sc_bear, {{-0.6, -0.35, 0}, {0.6, 0.3, 1.1}}};
+static const sc_shape sc_shape_jelly = {sc_jelly, {{-0.3, -0.3, 0}, {0.3, 0.3, 0.3}}};
+
+SC_STATIC sfem_status sc_mesh_of(sc_world *w, sfem_error *err)
 {
+    const sc_shape *shape = w->scene->shape;
     sfem_mesher_def def = sfem_default_mesher_def();
     def.tets = (sfem_int)sc_value(w, "tets", 2500);
-    SC_TRY(sfem_mesh_from_sdf(&def, f, NULL, box, &w->mesh, NULL, err));
+    if (!sc_same_mesh(w)) SC_TRY(sfem_mesh_from_sdf(&def, shape->distance, NULL, shape->box, &w->mesh, NULL, err));
     return sc_take_mesh(w, err);
-}
-
-SC_STATIC sfem_status sc_make_bear(sc_world *w, sfem_error *err)
-{
-    static const double box[2][3] = {{-0.6, -0.35, 0}, {0.6, 0.3, 1.1}};
-    return sc_mesh_of(w, sc_bear, box, err);
 }
 
 /* Nodes with low <= x[axis] <= high join a list. */

@@ -12,7 +12,7 @@ SC_STATIC sfem_status sc_tear_create(sc_world *w, sfem_error *err)
     sfem_status status;
     sfem_int i;
     int k;
-    SC_TRY(sc_make_bear(w, err));
+    SC_TRY(sc_mesh_of(w, err));
     SC_TRY(sc_make_model(w, err));
     sc_select(w, 2, -1, 0.02, w->pin, &w->pins);
     sc_select(w, 0, -1, -0.42, w->group, &w->group_count);
@@ -56,6 +56,6 @@ static const sc_scene sc_scene_tear = {
     "tear", "Tear", "Both arms are pulled. Which toughness holds?",
     {SC_YOUNG(1e5), SC_POISSON(0.4), SC_DENSITY(1000), SC_DAMPING(2), SC_GRAVITY(9.81), SC_TOUGHNESS(3000),
      {"pull", "m/s", 0, 3, 0.6, 0, SC_LIVE}, SC_TETS(2500), SC_STEP(8), SC_ACCURACY(1e-6)},
-    sc_tear_create, sc_tear_drive};
+    sc_tear_create, sc_tear_drive, &sc_shape_bear};
 
 #endif

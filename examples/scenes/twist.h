@@ -50,6 +50,6 @@ static const sc_scene sc_scene_twist = {
     "twist", "Twist", "It is twisted, and let go.",
     {SC_YOUNG(3e5), SC_POISSON(0.3), SC_DENSITY(1000), SC_DAMPING(0.5), SC_GRAVITY(0), {"turns", "", 0.25, 3, 1, 0, SC_AGAIN},
      {"rate", "1/s", 0.1, 2, 0.5, 0, SC_AGAIN}, SC_TETS(2500), SC_STEP(1000 / 60.0), SC_ACCURACY(1e-6)},
-    sc_twist_create, sc_twist_drive};
+    sc_twist_create, sc_twist_drive, NULL};
 
 #endif

@@ -55,6 +55,8 @@ static struct page {
     vertex *vertex;
     uint32_t *index;
     int vertices, indices, changed;
+    const sc_shape *shape; /* of which `skin` is */
+    sfem_surface skin;
     sc_file file;
     char *file_bytes, file_name[64];
     double info[32], hand[7];
@@ -154,10 +156,31 @@ static int split(drawing *d, const double *x, sfem_int points, const sfem_int *t
     return 1;
 }
 
-/* The surface of the user's file follows the tets. */
-static sfem_status make_embed(drawing *d, sfem_error *err)
+/* The surface of the scene's shape, finer than its tets: made once. */
+static sfem_status make_skin(const sc_shape *shape, sfem_error *err)
 {
-    const sfem_surface *skin = &page.file.skin;
+    sfem_mesher_def def = sfem_default_mesher_def();
+    sfem_surface skin;
+    sfem_mesh mesh;
+    sfem_status status;
+    if (page.shape == shape) return SFEM_OK;
+    def.tets = 14000;
+    SC_TRY(sfem_mesh_from_sdf(&def, shape->distance, NULL, shape->box, &mesh, NULL, err));
+    status = sfem_mesh_surface(&mesh, NULL, &skin, err);
+    if (status != SFEM_OK) return sfem_mesh_free(&mesh), status;
+    sfem_surface_free(&page.skin);
+    page.skin = skin;
+    page.skin.x = mesh.x; /* goes with the surface: both are of malloc */
+    page.skin.nodes = mesh.nodes;
+    mesh.x = NULL;
+    sfem_mesh_free(&mesh);
+    page.shape = shape;
+    return SFEM_OK;
+}
+
+/* A surface, that of the scene's shape or of the user's file, follows the tets. */
+static sfem_status make_embed(drawing *d, const sfem_surface *skin, sfem_error *err)
+{
     sfem_embed_def def = sfem_default_embed_def();
     double *x, *normal = NULL;
     sfem_status status;
@@ -215,7 +238,9 @@ static sfem_status refresh(int k, sfem_error *err)
         SC_TRY(sfem_embed_break(d->embed, item->body, NULL, &d->parts, err));
     } else {
         forget(d);
-        if (page.file.skin.triangles && page.w->data) SC_TRY(make_embed(d, err));
+        if (page.w->scene->shape) SC_TRY(make_skin(page.w->scene->shape, err));
+        if (page.w->scene->shape) SC_TRY(make_embed(d, &page.skin, err));
+        else if (page.file.skin.triangles && page.w->data) SC_TRY(make_embed(d, &page.file.skin, err));
         else if (broken > 0) SC_TRY(make_fragments(d, item, err));
         else if (!split(d, page.w->mesh.x, page.w->mesh.nodes, page.w->surface.tri, NULL, page.w->surface.triangles, NULL))
             return sc_fail(err, SFEM_OUT_OF_MEMORY, "out of memory");
@@ -270,7 +295,10 @@ static void fill(int k, vertex *v)
         return;
     }
     if (d->embed) {
-        sfem_embed_to_floats(d->embed, sfem_body_displacement(item->body), v->x, v->n, sizeof *v);
+        const double *u = page.w->x;
+        if (item->body) u = sfem_body_displacement(item->body);
+        else sfem_modal_displacements(item->modal, page.w->view, page.w->x);
+        sfem_embed_to_floats(d->embed, u, v->x, v->n, sizeof *v);
         return;
     }
     if (d->fragments.vertices) sfem_body_fragment_positions(item->body, &d->fragments, d->x);
@@ -334,7 +362,7 @@ EXPORT(page_open) int page_open(int k, const double *values)
     const int mesh = k == SC_SCENES - 1;
     sc_world *w;
     if (k < 0 || k >= SC_SCENES) return (int)sc_fail(&page.err, SFEM_BAD_ARGUMENT, "there is no scene %d", k);
-    w = sc_open_with(sc_scenes[k], values, mesh && page.file_bytes ? &page.file : NULL, &page.err);
+    w = sc_open_with(sc_scenes[k], values, mesh && page.file_bytes ? &page.file : NULL, NULL, &page.err);
     if (!w) return (int)page.err.status;
     sc_close(page.w);
     page.w = w;

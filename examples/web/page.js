@@ -150,8 +150,8 @@ void main() {
   vec3 n = normalize(normal), v = normalize(eye - at), base = palette[which % ${PALETTE.length}];
   if (dot(n, v) < -0.2) n = -n;
   float sunny = max(dot(n, sun), 0.0) * lit(shade, 0.004), sky = 0.5 + 0.5 * n.z;
-  vec3 c = base * (mix(vec3(0.30, 0.29, 0.32), vec3(0.58, 0.62, 0.68), sky) + 0.62 * sunny * vec3(1.0, 0.96, 0.9));
-  c += 0.20 * sunny * pow(max(dot(reflect(-sun, n), v), 0.0), 28.0) + 0.07 * pow(1.0 - max(dot(n, v), 0.0), 3.0);
+  vec3 c = base * (mix(vec3(0.44, 0.41, 0.42), vec3(0.64, 0.67, 0.72), sky) + 0.50 * sunny * vec3(1.0, 0.96, 0.9));
+  c += 0.16 * sunny * pow(max(dot(reflect(-sun, n), v), 0.0), 28.0) + 0.07 * pow(1.0 - max(dot(n, v), 0.0), 3.0);
   result = vec4(c, 1.0);
 }`;
 const FLOOR_VERTEX = `#version 300 es
