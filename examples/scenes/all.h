@@ -18,7 +18,10 @@ static const sc_scene *const sc_scenes[] = {
 #ifndef SFEM_NO_MODES
     &sc_scene_modes,
 #endif
-    &sc_scene_mesh};
+#ifndef SFEM_NO_MESHIO
+    &sc_scene_mesh, /* the last one: page.c relies on that */
+#endif
+};
 enum { SC_SCENES = (int)(sizeof sc_scenes / sizeof *sc_scenes) };
 
 /* The scene of that name, or NULL. */

@@ -5,6 +5,7 @@
 #ifndef SFEM_EXAMPLES_SCENES_MESH_H
 #define SFEM_EXAMPLES_SCENES_MESH_H
 
+#ifndef SFEM_NO_MESHIO
 #include "shapes.h"
 
 typedef struct sc_file {
@@ -92,4 +93,5 @@ static const sc_scene sc_scene_mesh = {
      SC_ACCURACY(1e-6)},
     sc_mesh_create, NULL, NULL};
 
+#endif
 #endif

@@ -101,6 +101,7 @@ struct sc_world {
     /* of drivers */
     sfem_int *pin, pins, *group, group_count; /* [nodes] each */
     double *x;                                /* [nodes][3], for whoever needs positions */
+    sfem_int *whole;                          /* [tets][4], those of one piece each, to be picked */
     double way;
     int phase;
     sfem_int handle[SC_HANDLES];
@@ -166,7 +167,8 @@ SC_STATIC sfem_status sc_take_mesh(sc_world *w, sfem_error *err)
     w->pin = (sfem_int *)calloc(n, sizeof *w->pin);
     w->group = (sfem_int *)calloc(n, sizeof *w->group);
     w->x = (double *)calloc(3 * n, sizeof *w->x);
-    if (!w->pin || !w->group || !w->x) return sc_fail(err, SFEM_OUT_OF_MEMORY, "out of memory");
+    w->whole = (sfem_int *)calloc(4 * (size_t)w->mesh.tets, sizeof *w->whole);
+    if (!w->pin || !w->group || !w->x || !w->whole) return sc_fail(err, SFEM_OUT_OF_MEMORY, "out of memory");
     return SFEM_OK;
 }
 
@@ -278,6 +280,7 @@ SC_STATIC void sc_close(sc_world *w)
     free(w->pin);
     free(w->group);
     free(w->x);
+    free(w->whole);
     free(w);
 }
 
@@ -354,6 +357,29 @@ SC_STATIC void sc_release(sc_world *w)
     w->holding = -1;
 }
 
+/* The tet, its nodes, that a ray meets first in an item, but not those between two pieces, which are not drawn. */
+SC_STATIC int sc_pick(sc_world *w, int item, const double origin[3], const double direction[3], sfem_int tet[4],
+                      double bary[4], double *distance)
+{
+    sfem_mesh mesh = w->mesh;
+    sfem_int t;
+#ifndef SFEM_NO_DAMAGE
+    if (w->item[item].body && sfem_body_fracture(w->item[item].body).pieces > 1) {
+        const sfem_int *piece = sfem_body_piece_of(w->item[item].body);
+        mesh.tet = w->whole;
+        for (mesh.tets = 0, t = 0; t < w->mesh.tets; ++t) {
+            const sfem_int *v = w->mesh.tet + 4 * (size_t)t;
+            if (piece[v[0]] == piece[v[1]] && piece[v[0]] == piece[v[2]] && piece[v[0]] == piece[v[3]])
+                memcpy(w->whole + 4 * (size_t)mesh.tets++, v, 4 * sizeof *v);
+        }
+    }
+#endif
+    sc_positions(w, item, w->x);
+    if (!sfem_mesh_pick_ray(&mesh, w->x, origin, direction, &t, bary, distance)) return 0;
+    memcpy(tet, mesh.tet + 4 * (size_t)t, 4 * sizeof *tet);
+    return 1;
+}
+
 /* Nodes near a point of a tet that belong to its piece, with weights that sum to 1. */
 SC_STATIC sfem_status sc_patch(sc_world *w, int item, const sfem_int *tet, const double bary[4], sfem_int *node,
                                double *weight, sfem_int *count, sfem_error *err)
@@ -392,21 +418,20 @@ SC_STATIC sfem_status sc_patch(sc_world *w, int item, const sfem_int *tet, const
 SC_STATIC sfem_status sc_grab(sc_world *w, const double origin[3], const double direction[3], double *distance,
                               sfem_error *err)
 {
-    sfem_int node[SC_PATCH], count, tet = 0;
+    sfem_int node[SC_PATCH], count, tet[4] = {0, 0, 0, 0}, t[4];
     double weight[SC_PATCH], bary[4] = {0, 0, 0, 0}, b[4], d;
     int k, item = -1;
     sc_release(w);
     *distance = -1;
     for (k = 0; k < w->items; ++k) {
-        sfem_int t;
-        sc_positions(w, k, w->x);
-        if (!sfem_mesh_pick_ray(&w->mesh, w->x, origin, direction, &t, b, &d) || (item >= 0 && d >= *distance)) continue;
-        item = k, *distance = d, tet = t;
+        if (!sc_pick(w, k, origin, direction, t, b, &d) || (item >= 0 && d >= *distance)) continue;
+        item = k, *distance = d;
+        memcpy(tet, t, sizeof tet);
         memcpy(bary, b, sizeof bary);
     }
     if (item < 0) return SFEM_OK;
     sc_positions(w, item, w->x);
-    SC_TRY(sc_patch(w, item, w->mesh.tet + 4 * (size_t)tet, bary, node, weight, &count, err));
+    SC_TRY(sc_patch(w, item, tet, bary, node, weight, &count, err));
 #ifndef SFEM_NO_REDUCED
     if (w->item[item].modal)
         SC_TRY(sfem_modal_grab_region(w->item[item].modal, count, node, weight, &w->hand, err));

@@ -4,26 +4,9 @@
  *     make test-web  compiles it natively, too: `page SCENE...` prints a hash of each after 300 steps, which has to be
  *                    that of the page
  *
- * It holds the implementation itself, with portable kernels and functions of its own in place of libm's.
+ * softfem.h is compiled beside it with the same page.h.
  */
-#include "portable_math.h"
-
-#ifdef __wasm__
-__attribute__((import_module("page"), import_name("failed"))) void page_failed(const char *text);
-#define SFEM_ASSERT(x) ((x) ? (void)0 : (page_failed("softfem.h: " #x), __builtin_trap()))
-#define EXPORT(name) __attribute__((export_name(#name)))
-#define SFEM_NO_STDIO
-#else
-#define EXPORT(name) static
-#endif
-#define SFEM_MINIMAL
-#define SFEM_ENABLE_MESHIO
-#define SFEM_ENABLE_MESHER
-#define SFEM_ENABLE_EMBED
-#define SFEM_ENABLE_DAMAGE
-#define SFEM_ENABLE_MODES
-#define SFEM_ENABLE_REDUCED
-#define SOFTFEM_IMPLEMENTATION
+#include "page.h"
 #include "softfem.h"
 #include "../scenes/all.h"
 
@@ -34,6 +17,8 @@ __attribute__((import_module("page"), import_name("failed"))) void page_failed(c
 typedef struct vertex {
     float x[3], n[3], color; /* twice the number of the body's color, and 1 for inner faces */
 } vertex;
+
+#define DARK 100 /* the color of eyes */
 
 /* Vertices are split where triangles meet at an edge, so that normals are smooth elsewhere. */
 typedef struct drawing {
@@ -57,6 +42,7 @@ static struct page {
     int vertices, indices, changed;
     const sc_shape *shape; /* of which `skin` is */
     sfem_surface skin;
+    sfem_int skin_own; /* triangles of it; those after them are eyes and a nose */
     sc_file file;
     char *file_bytes, file_name[64];
     double info[32], hand[7];
@@ -156,6 +142,44 @@ static int split(drawing *d, const double *x, sfem_int points, const sfem_int *t
     return 1;
 }
 
+/* A ball joins a surface: rings of eight points between two poles. */
+static int add_ball(sfem_surface *s, const double centre[3], double radius)
+{
+    enum { AROUND = 8, RINGS = 5, POINTS = AROUND * RINGS + 2, TRIANGLES = 2 * AROUND * RINGS };
+    double *x = (double *)realloc(s->x, 3 * (size_t)(s->nodes + POINTS) * sizeof *x);
+    sfem_int *tri, i, j, k = 0;
+    if (x) s->x = x;
+    tri = (sfem_int *)realloc(s->tri, 3 * (size_t)(s->triangles + TRIANGLES) * sizeof *tri);
+    if (tri) s->tri = tri;
+    if (!x || !tri) return 0;
+    x += 3 * (size_t)s->nodes;
+    tri += 3 * (size_t)s->triangles;
+    for (i = 0; i < POINTS; ++i) { /* the poles come last */
+        const double up = i < AROUND * RINGS ? SC_PI * (i / AROUND + 1.0) / (RINGS + 1) : i > AROUND * RINGS ? SC_PI : 0;
+        const double around = 2 * SC_PI * (i % AROUND) / AROUND;
+        x[3 * i] = centre[0] + radius * sin(up) * cos(around);
+        x[3 * i + 1] = centre[1] + radius * sin(up) * sin(around);
+        x[3 * i + 2] = centre[2] + radius * cos(up);
+    }
+    for (i = -1; i < RINGS; ++i)
+        for (j = 0; j < AROUND; ++j) {
+            const sfem_int next = (j + 1) % AROUND, a = AROUND * i + j, b = AROUND * i + next;
+            const sfem_int c = a + AROUND, d = b + AROUND, top = AROUND * RINGS, below = top + 1;
+            if (i >= 0) tri[k++] = a, tri[k++] = i < RINGS - 1 ? c : below, tri[k++] = b;
+            if (i < RINGS - 1) tri[k++] = i < 0 ? top : b, tri[k++] = c, tri[k++] = d;
+        }
+    for (i = 0; i < k; ++i) tri[i] += s->nodes;
+    s->nodes += POINTS;
+    s->triangles += k / 3;
+    return 1;
+}
+
+static int add_face(sfem_surface *s)
+{
+    static const double eye[2][3] = {{-0.068, -0.172, 0.822}, {0.068, -0.172, 0.822}}, nose[3] = {0, -0.236, 0.752};
+    return add_ball(s, eye[0], 0.021) && add_ball(s, eye[1], 0.021) && add_ball(s, nose, 0.03);
+}
+
 /* The surface of the scene's shape, finer than its tets: made once. */
 static sfem_status make_skin(const sc_shape *shape, sfem_error *err)
 {
@@ -174,7 +198,9 @@ static sfem_status make_skin(const sc_shape *shape, sfem_error *err)
     page.skin.nodes = mesh.nodes;
     mesh.x = NULL;
     sfem_mesh_free(&mesh);
+    page.skin_own = page.skin.triangles;
     page.shape = shape;
+    if (shape == &sc_shape_bear && !add_face(&page.skin)) return sc_fail(err, SFEM_OUT_OF_MEMORY, "out of memory");
     return SFEM_OK;
 }
 
@@ -274,6 +300,9 @@ static sfem_status lay_out(sfem_error *err)
         const sfem_int *from = d->parts.vertices ? d->parts.tri : d->index;
         for (i = 0; i < count_of(d); ++i)
             page.vertex[page.vertices + i].color = color + (float)(!d->parts.vertices && d->inner[i]);
+        for (i = 0; d->embed && page.w->scene->shape && i < corners_of(d); ++i)
+            if ((d->parts.vertices ? d->parts.source[i / 3] : i / 3) >= page.skin_own)
+                page.vertex[page.vertices + from[i]].color = DARK;
         if (d->parts.vertices)
             for (i = 3 * (d->parts.triangles - d->parts.inner); i < 3 * d->parts.triangles; ++i)
                 page.vertex[page.vertices + from[i]].color = color + 1;

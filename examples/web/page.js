@@ -60,7 +60,7 @@ function say(text, good) {
   box.className = good ? "card good" : "card";
   box.style.display = "block";
   clearTimeout(messageTimer);
-  messageTimer = setTimeout(() => { box.style.display = "none"; }, good ? 3000 : 9000);
+  messageTimer = setTimeout(() => { box.style.display = "none"; }, good ? 5000 : 9000);
 }
 const complain = () => say(textAt(c.page_error()));
 
@@ -147,7 +147,7 @@ float lit(vec4 shade, float bias) {
 const BODY = COMMON + `
 in vec3 at, normal; in vec4 shade; flat in int which; uniform vec3 palette[${PALETTE.length}]; out vec4 result;
 void main() {
-  vec3 n = normalize(normal), v = normalize(eye - at), base = palette[which % ${PALETTE.length}];
+  vec3 n = normalize(normal), v = normalize(eye - at), base = which >= 100 ? vec3(0.06, 0.05, 0.06) : palette[which % ${PALETTE.length}];
   if (dot(n, v) < -0.2) n = -n;
   float sunny = max(dot(n, sun), 0.0) * lit(shade, 0.004), sky = 0.5 + 0.5 * n.z;
   vec3 c = base * (mix(vec3(0.44, 0.41, 0.42), vec3(0.64, 0.67, 0.72), sky) + 0.50 * sunny * vec3(1.0, 0.96, 0.9));
@@ -161,14 +161,14 @@ void main() {
   at = vec3(place.xy + p * place.w, place.z); shade = light * vec4(at, 1.0); gl_Position = camera * vec4(at, 1.0);
 }`;
 const FLOOR = COMMON + `
-in vec3 at; in vec4 shade; uniform vec4 place; uniform vec3 tint; out vec4 result;
+in vec3 at; in vec4 shade; uniform vec4 place; uniform vec3 tint; uniform float depth; out vec4 result;
 void main() {
   float far = length(at.xy - place.xy) / place.w, fade = 1.0 - smoothstep(0.25, 1.0, far);
   vec2 g = abs(fract(at.xy / (place.w / 16.0) - 0.5) - 0.5) / fwidth(at.xy / (place.w / 16.0));
   float line = (1.0 - min(min(g.x, g.y), 1.0)) * 0.10;
-  float dark = 0.34 * (1.0 - lit(shade, 0.002));
-  float alpha = fade * max(max(dark, line), 0.0);
-  result = vec4(tint * alpha, alpha);
+  float dark = fade * depth * (1.0 - lit(shade, 0.002));
+  line *= fade * (1.0 - dark);
+  result = vec4(tint * line + vec3(0.02, 0.04, 0.08) * dark, line + dark);
 }`;
 const DEPTH = `#version 300 es
 precision highp float; void main() {}`;
@@ -271,7 +271,8 @@ function draw() {
       gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
       gl.bindVertexArray(buffers.none);
       gl.uniform4fv(at.place, [world.middle[0], world.middle[1], world.floor, 3.2 * world.radius]);
-      gl.uniform3fv(at.tint, dark() ? [0, 0, 0] : [0.10, 0.16, 0.24]);
+      gl.uniform3fv(at.tint, dark() ? [0.62, 0.70, 0.80] : [0.10, 0.16, 0.24]);
+      gl.uniform1f(at.depth, dark() ? 0.6 : 0.32);
       gl.drawArrays(gl.TRIANGLE_STRIP, 0, 4);
     }
   }
@@ -280,7 +281,7 @@ function draw() {
 function number(x) {
   if (x === 0) return "0";
   const a = Math.abs(x);
-  return a >= 1e5 || a < 1e-3 ? x.toExponential(2).replace("e+", "e") : String(Number(x.toPrecision(3)));
+  return a >= 1e5 || a < 1e-3 ? x.toExponential(2).replace(/\.?0*e\+?/, "e") : String(Number(x.toPrecision(3)));
 }
 
 function drawOver() {
@@ -696,7 +697,7 @@ addEventListener("hashchange", () => { if (location.hash !== linked) openLinked(
 window.softfem = {
   ready: false, info, run, onScreen, camera, world, act, steps, setSlider,
   get simd() { return simd; }, get scene() { return scenes[current].name; }, get scenes() { return scenes.map(s => s.name); },
-  open: (name, wanted) => { const k = scenes.findIndex(s => s.name === name); return open(k, {...defaults(k), ...wanted, length: defaults(k).length}); },
+  open: name => { const k = scenes.findIndex(s => s.name === name); return open(k, defaults(k)); },
   hash: () => textAt(c.page_hash()),
   hand: () => [...doubles(c.page_hand(), 7)],
 };
