@@ -34,7 +34,7 @@ SC_STATIC sfem_status sc_cut_drive(sc_world *w, sfem_error *err)
 
 static const sc_scene sc_scene_cut = {
     "cut", "Cut", "Choose Cut, and swipe across the bar. Cut it again.",
-    {SC_YOUNG(5e4), SC_POISSON(0.35), SC_DENSITY(1000), SC_DAMPING(1), SC_GRAVITY(9.81), SC_TETS(2400),
+    {SC_YOUNG(1e5), SC_POISSON(0.35), SC_DENSITY(1000), SC_DAMPING(1), SC_GRAVITY(9.81), SC_TETS(2400),
      {"blade", "s", 0, 10, 0, 0, SC_AGAIN}, SC_STEP(1000 / 60.0), SC_ACCURACY(1e-6)},
     sc_cut_create, sc_cut_drive, NULL};
 

@@ -41,7 +41,7 @@ static struct page {
     uint32_t *index;
     int vertices, indices, changed;
     const sc_shape *shape; /* of which `skin` is */
-    sfem_surface skin;
+    sfem_surface skin;     /* its arrays are the page's own, of malloc */
     sfem_int skin_own; /* triangles of it; those after them are eyes and a nose */
     sc_file file;
     char *file_bytes, file_name[64];
@@ -191,13 +191,24 @@ static sfem_status make_skin(const sc_shape *shape, sfem_error *err)
     def.tets = 14000;
     SC_TRY(sfem_mesh_from_sdf(&def, shape->distance, NULL, shape->box, &mesh, NULL, err));
     status = sfem_mesh_surface(&mesh, NULL, &skin, err);
-    if (status != SFEM_OK) return sfem_mesh_free(&mesh), status;
-    sfem_surface_free(&page.skin);
-    page.skin = skin;
-    page.skin.x = mesh.x; /* goes with the surface: both are of malloc */
-    page.skin.nodes = mesh.nodes;
-    mesh.x = NULL;
+    if (status == SFEM_OK) {
+        free(page.skin.x);
+        free(page.skin.tri);
+        page.shape = NULL;
+        memset(&page.skin, 0, sizeof page.skin);
+        page.skin.x = (double *)malloc(3 * (size_t)mesh.nodes * sizeof(double));
+        page.skin.tri = (sfem_int *)malloc(3 * (size_t)skin.triangles * sizeof(sfem_int));
+        if (!page.skin.x || !page.skin.tri) status = sc_fail(err, SFEM_OUT_OF_MEMORY, "out of memory");
+    }
+    if (status == SFEM_OK) {
+        page.skin.nodes = mesh.nodes;
+        page.skin.triangles = skin.triangles;
+        memcpy(page.skin.x, mesh.x, 3 * (size_t)mesh.nodes * sizeof(double));
+        memcpy(page.skin.tri, skin.tri, 3 * (size_t)skin.triangles * sizeof(sfem_int));
+        sfem_surface_free(&skin);
+    }
     sfem_mesh_free(&mesh);
+    if (status != SFEM_OK) return status;
     page.skin_own = page.skin.triangles;
     page.shape = shape;
     if (shape == &sc_shape_bear && !add_face(&page.skin)) return sc_fail(err, SFEM_OUT_OF_MEMORY, "out of memory");
