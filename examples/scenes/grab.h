@@ -20,7 +20,7 @@ SC_STATIC sfem_status sc_grab_create(sc_world *w, sfem_error *err)
 
 static const sc_scene sc_scene_grab = {
     "grab", "Grab", "Take hold of the bear and pull.",
-    {SC_YOUNG(2e5), SC_POISSON(0.4), SC_DENSITY(1000), SC_DAMPING(1), SC_GRAVITY(9.81), SC_TETS(2500), SC_STEP(1000 / 60.0),
+    {SC_YOUNG(4e5), SC_POISSON(0.4), SC_DENSITY(1000), SC_DAMPING(1), SC_GRAVITY(9.81), SC_TETS(2500), SC_STEP(1000 / 60.0),
      SC_ACCURACY(1e-6)},
     sc_grab_create, NULL, &sc_shape_bear};
 

@@ -404,6 +404,7 @@ function showSlider(k) {
 function showScene() {
   const scene = scenes[current];
   [...$("scenes").children].forEach((b, k) => b.setAttribute("aria-pressed", k === current));
+  $("scenes").children[current].scrollIntoView({block: "nearest", inline: "center"});
   $("title").textContent = scene.title;
   $("hint").textContent = scene.hint;
   $("sliders").replaceChildren(...scene.sliders.map((s, k) => {
@@ -470,7 +471,7 @@ function steps(count) {
 }
 
 const BUDGET = 26; /* ms of a frame for physics; what is too slow for that goes slower */
-let last = 0, frames = 0, shown = 0, clock = 0, simulated = 0;
+let last = 0, frames = 0, drawn = 0, shown = 0, clock = 0, simulated = 0;
 function frame(now) {
   try {
     const passed = Math.min(0.1, Math.max(0, (now - last) / 1000)), before = performance.now();
@@ -491,11 +492,12 @@ function frame(now) {
       if (spent >= BUDGET) run.behind = Math.min(run.behind, h);
     }
     clock += passed;
-    const drawn = performance.now();
+    const drawing = performance.now();
     draw();
     drawOver();
-    run.drawing += 0.1 * (performance.now() - drawn - run.drawing);
+    run.drawing += 0.1 * (performance.now() - drawing - run.drawing);
     ++frames;
+    ++drawn;
     if (now - shown > 200) showNumbers(now);
   } catch (e) {
     run.paused = true;
@@ -697,7 +699,11 @@ addEventListener("hashchange", () => { if (location.hash !== linked) openLinked(
 window.softfem = {
   ready: false, info, run, onScreen, camera, world, act, steps, setSlider,
   get simd() { return simd; }, get scene() { return scenes[current].name; }, get scenes() { return scenes.map(s => s.name); },
-  open: name => { const k = scenes.findIndex(s => s.name === name); return open(k, defaults(k)); },
+  open: (name, slider, value) => {
+    const k = scenes.findIndex(s => s.name === name);
+    return open(k, scenes[k].sliders.map(s => s.name === slider ? value : s.value));
+  },
+  get drawn() { return drawn; },
   hash: () => textAt(c.page_hash()),
   hand: () => [...doubles(c.page_hand(), 7)],
 };
