@@ -1271,7 +1271,7 @@ typedef struct sfem_damage_def {
     const sfem_int *line;        /* [line_count][2] nodes of edges with a factor of their own */
     sfem_int line_count;
     sfem_real line_factor;       /* 0 means 1 */
-    int line_only;               /* no other edges break, except by a blade */
+    int line_only;               /* no other edges break, except by a blade and where one leaves fibres */
     int closure;           /* a broken edge carries compression again: p >= 1/2, condensed only. An edge
                             * at an obtuse angle of its tet may open under pressure */
     sfem_real upright[2];  /* edge lengths do not tell a tet from its mirror image. So below J =
@@ -19799,7 +19799,7 @@ static void sfemi_damage_sweep_dangling(sfemi_damage *d, const sfemi_damage_step
             const unsigned links = sfemi_damage_links[sfemi_damage_zetas(d, e, zeta)];
             for (k = 0; k < 6; ++k) {
                 const sfem_int edge = g->tet_edge[6 * e + k];
-                if (!(links >> k & 1 || d->kind[e] == SFEMI_DISCONNECTED) || g->never[edge] ||
+                if (!(links >> k & 1 || d->kind[e] == SFEMI_DISCONNECTED) || g->never[edge] == SFEMI_NEVER ||
                     g->edge_tet[g->tet_start[edge]] / 6 != e)
                     continue; /* each edge once, at its first tet */
                 if (!(d->zeta[edge] > 0) || !sfemi_damage_is_dangling(d, edge)) continue;

@@ -61,7 +61,7 @@ static void scenes_do_what_they_are_for(void **state)
 
     w = opened("cut", "blade", 0.1);
     assert_ok(sc_run(w, 30, &err), err);
-    assert_true(sc_measure_all(w).pieces == 2);
+    assert_true(sc_measure_all(w).large == 2);
     sc_close(w);
 
     w = opened("tear", "toughness", 300);

@@ -183,7 +183,7 @@ def a_swipe_cuts_in_two(b, page, pictures):
     b.drag([(x, y - 150)] + [(x, y - 150 + 50 * k) for k in range(1, 7)])
     need(b.run('return softfem.info().pieces') == 1, 'it broke without a step')
     b.run('softfem.act.pause()')
-    b.wait('return softfem.info().pieces === 2')
+    b.wait('return softfem.info().large === 2')  # and crumbs, where the blade met nodes
     b.run('softfem.steps(15)')
     drawn = b.run('return softfem.drawn')
     b.wait('return softfem.drawn > arguments[0] + 1', 30, drawn)

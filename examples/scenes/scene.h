@@ -554,8 +554,30 @@ typedef struct sc_measure {
     double kinetic, elastic, load; /* J */
     double rejected, corrections;  /* steps so far; of the last step, the largest of all bodies */
     double pieces, broken;         /* of all bodies together; edges */
+    double large;                  /* pieces of at least a twentieth of a body's nodes */
     double contacts;               /* with obstacles, in the last step; none of the scenes has any yet */
 } sc_measure;
+
+/* How many pieces of a body have at least a twentieth of its nodes. */
+SC_STATIC double sc_large_pieces(const sc_world *w, const sfem_body *body)
+{
+    double large = 1;
+#ifndef SFEM_NO_DAMAGE
+    const sfem_int pieces = sfem_body_fracture(body).pieces, *piece;
+    sfem_int *nodes, i;
+    if (pieces < 2) return 1;
+    nodes = (sfem_int *)calloc((size_t)pieces, sizeof *nodes);
+    if (!nodes) return 0;
+    piece = sfem_body_piece_of(body);
+    for (i = 0; i < w->mesh.nodes; ++i)
+        if (piece[i] >= 0) ++nodes[piece[i]];
+    for (large = 0, i = 0; i < pieces; ++i) large += 20 * nodes[i] >= w->mesh.nodes;
+    free(nodes);
+#else
+    (void)w, (void)body;
+#endif
+    return large;
+}
 
 SC_STATIC sc_measure sc_measure_all(sc_world *w)
 {
@@ -572,6 +594,7 @@ SC_STATIC sc_measure sc_measure_all(sc_world *w)
             m.load += e.load;
             m.rejected += (double)info.rejected;
             m.corrections = fmax(m.corrections, (double)info.corrections);
+            m.large += sc_large_pieces(w, body);
 #ifndef SFEM_NO_DAMAGE
             m.pieces += (double)sfem_body_fracture(body).pieces;
             m.broken += (double)sfem_body_fracture(body).broken;

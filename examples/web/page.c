@@ -496,7 +496,7 @@ EXPORT(page_cut) int page_cut(const double *from, const double *to)
 }
 
 /* time, step, kinetic, elastic, load; rejected, corrections, pieces, broken; nodes, tets, bodies; box [6], floor, speed,
- * contacts */
+ * contacts, large pieces */
 EXPORT(page_info) const double *page_info(void)
 {
     const sc_measure m = sc_measure_all(page.w);
@@ -507,7 +507,7 @@ EXPORT(page_info) const double *page_info(void)
     *p++ = m.rejected, *p++ = m.corrections, *p++ = m.pieces, *p++ = m.broken;
     *p++ = w->mesh.nodes, *p++ = w->mesh.tets, *p++ = w->items;
     for (k = 0; k < 6; ++k) *p++ = w->box[k / 3][k % 3];
-    *p++ = w->floor, *p++ = w->speed, *p = m.contacts;
+    *p++ = w->floor, *p++ = w->speed, *p++ = m.contacts, *p = m.large;
     return page.info;
 }
 

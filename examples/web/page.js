@@ -334,7 +334,7 @@ const defaults = k => scenes[k].sliders.map(s => s.value);
 const padded = list => [...list, ...new Array(16 - list.length).fill(0)];
 
 const INFO = ["time", "h", "kinetic", "elastic", "load", "rejected", "corrections", "pieces", "broken", "nodes", "tets", "bodies",
-  "x0", "y0", "z0", "x1", "y1", "z1", "floor", "speed", "contacts"];
+  "x0", "y0", "z0", "x1", "y1", "z1", "floor", "speed", "contacts", "large"];
 function info() {
   const from = doubles(c.page_info(), INFO.length), result = {};
   INFO.forEach((name, i) => { result[name] = from[i]; });
