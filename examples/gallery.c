@@ -140,7 +140,7 @@ static void first(const char *out, int quick)
     int k;
     p->ground = 0;
     for (k = 0; k < 3; ++k) {
-        while (k == 1 && w->way < 0.22) step(w, 1);
+        while (k == 1 && !w->phase && w->way < 0.22) step(w, 1);
         while (k == 2 && !w->phase && w->way < 0.8) step(w, 1);
         if (k == 2) step(w, quick ? 5 : 20);
         by[0] = x[k];
