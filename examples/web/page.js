@@ -103,19 +103,20 @@ function shape() { /* the camera, all that follows from it */
   const right = unit(cross(forward, [0, 0, 1])), up = cross(right, forward);
   const t = Math.tan(VIEW_ANGLE / 2), half = aspect > 1 ? [t * aspect, t] : [t, t / aspect];
   const near = 0.02 * distance, far = 60 * distance;
-  const project = [1 / half[0], 0, 0, 0, 0, 1 / half[1], 0, 0, 0, 0, (far + near) / (near - far), -1, 0, 0,
+  const beside = view.clientWidth > 720 ? 150 / view.clientWidth : 0; /* the panel covers what is on the right */
+  const project = [1 / half[0], 0, 0, 0, 0, 1 / half[1], 0, 0, beside, 0, (far + near) / (near - far), -1, 0, 0,
     2 * far * near / (near - far), 0];
-  return {eye, forward, right, up, half, matrix: times(project, lookAt(eye, target, [0, 0, 1]))};
+  return {eye, forward, right, up, half, beside, matrix: times(project, lookAt(eye, target, [0, 0, 1]))};
 }
 
 function rayAt(px, py) {
-  const s = shape(), x = 2 * px / view.clientWidth - 1, y = 1 - 2 * py / view.clientHeight;
+  const s = shape(), x = 2 * px / view.clientWidth - 1 + s.beside, y = 1 - 2 * py / view.clientHeight;
   return {origin: s.eye, forward: s.forward, direction: unit(along(along(s.forward, x * s.half[0], s.right), y * s.half[1], s.up))};
 }
 
 function onScreen(x) { /* pixels */
   const s = shape(), d = sub(x, s.eye), depth = dot(d, s.forward);
-  return [(dot(d, s.right) / depth / s.half[0] + 1) / 2 * view.clientWidth,
+  return [(dot(d, s.right) / depth / s.half[0] + 1 - s.beside) / 2 * view.clientWidth,
     (1 - dot(d, s.up) / depth / s.half[1]) / 2 * view.clientHeight];
 }
 
