@@ -264,6 +264,29 @@ def keys_and_buttons_work(b, page, pictures):
     need(b.run('return softfem.scene') == 'cut', 'key 2 opens', b.run('return softfem.scene'))
 
 
+def fingers_grab_and_pinch(b, page, pictures):
+    b.size(390, 844, phone=True)
+    b.open(page + '#scene=grab')
+    b.run('softfem.act.pause()')
+
+    def finger(name, *points):
+        moves = [{'type': 'pointerMove', 'duration': 0 if k == 0 else 80, 'x': int(x), 'y': int(y), 'origin': 'viewport'}
+                 for k, (x, y) in enumerate(points)]
+        moves.insert(1, {'type': 'pointerDown', 'button': 0})
+        return {'type': 'pointer', 'id': name, 'parameters': {'pointerType': 'touch'}, 'actions': moves}
+
+    x, y = b.run('return softfem.onScreen([0, 0, 0.4])')
+    b.post('/actions', {'actions': [finger('one', (x, y), (x + 30, y), (x + 60, y))]})
+    need(b.run('return softfem.hand()[0]') == 1, 'a finger takes hold of nothing')
+    b.release()
+    need(b.run('return softfem.hand()[0]') == 0, 'a finger does not let go')
+    before = b.run('return softfem.camera.distance')
+    b.post('/actions', {'actions': [finger('one', (100, 600), (60, 560)), finger('two', (260, 700), (330, 760))]})
+    b.release()
+    need(b.run('return softfem.camera.distance') < 0.9 * before, 'two fingers apart do not come nearer')
+    b.size(760, 560)
+
+
 def hashes_are_those_of_the_native_program(b, page, pictures):
     expected = dict(line.split() for line in NATIVE.communicate(timeout=300)[0].splitlines())
     for simd in (1, 0):
@@ -295,11 +318,11 @@ def it_looks_well(b, page, pictures):
     need(b.run('const r = document.getElementById("panel").getBoundingClientRect();'
                'return r.height > 100 && r.left >= 0 && r.right <= innerWidth'), 'no sliders on a phone')
     b.picture(os.path.join(pictures, 'narrow-sliders.png'))
-    b.size(900, 640)
+    b.size(760, 560)
 
 
 TESTS = [a_drag_moves_the_body, a_swipe_cuts_in_two, a_dropped_surface_simulates, broken_files_get_a_message,
-         bad_numbers_get_a_message, a_link_restores_the_scene, keys_and_buttons_work, it_looks_well,
+         bad_numbers_get_a_message, a_link_restores_the_scene, keys_and_buttons_work, fingers_grab_and_pinch, it_looks_well,
          hashes_are_those_of_the_native_program]
 
 
@@ -317,7 +340,7 @@ def main():
     with open(os.path.join(pictures, 'chromedriver.log'), 'w', encoding='utf-8') as log:
         browser = Browser(log)
         try:
-            browser.size(900, 640)
+            browser.size(760, 560)
             for test in TESTS:
                 if only and test.__name__ not in only:
                     continue
@@ -329,7 +352,7 @@ def main():
                     print('ok      %s, %.1f s' % (test.__name__, time.time() - begin), flush=True)
                 except (AssertionError, RuntimeError) as error:
                     failed += 1
-                    browser.size(900, 640)
+                    browser.size(760, 560)
                     print('FAILED  %s: %s' % (test.__name__, error), flush=True)
         finally:
             browser.close()

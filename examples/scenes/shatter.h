@@ -54,8 +54,8 @@ SC_STATIC sfem_status sc_shatter_drive(sc_world *w, sfem_error *err)
 
 static const sc_scene sc_scene_shatter = {
     "shatter", "Shatter", "A blow in the middle, in slow motion.",
-    {SC_YOUNG(5e6), SC_POISSON(0.3), SC_DENSITY(1000), SC_DAMPING(0.5), SC_GRAVITY(9.81), SC_TOUGHNESS(60),
-     {"blow", "m/s", 0, 20, 4, 0, SC_AGAIN}, SC_TETS(1500), SC_STEP(1), SC_ACCURACY(1e-4)},
+    {SC_YOUNG(5e6), SC_POISSON(0.3), SC_DENSITY(1000), SC_DAMPING(0.5), SC_GRAVITY(9.81), SC_TOUGHNESS(40),
+     {"blow", "m/s", 0, 20, 8, 0, SC_AGAIN}, SC_TETS(1500), SC_STEP(1), SC_ACCURACY(1e-4)},
     sc_shatter_create, sc_shatter_drive, NULL};
 
 #endif
