@@ -368,6 +368,7 @@ function open(k, wanted, keepCamera) {
 
 function opened(k, wanted, keepCamera) {
   current = k;
+  ++changes;
   values = [...wanted];
   swipe.length = 0;
   run.behind = 0;
@@ -381,6 +382,7 @@ function opened(k, wanted, keepCamera) {
 function setSlider(k, value) {
   const s = scenes[current].sliders[k];
   if (c.page_set(k, value)) { complain(); showSlider(k); return false; }
+  ++changes;
   values[k] = value;
   measureWorld();
   if (s.again) run.energies = [];
@@ -462,6 +464,7 @@ function loadFile(name, buffer) {
  * ------------------------------------------------------------------------------------------ */
 
 function steps(count) {
+  ++changes;
   const from = performance.now(), status = c.page_step(count);
   run.step = performance.now() - from;
   if (!status) return true;
@@ -472,6 +475,11 @@ function steps(count) {
 }
 
 const BUDGET = 26; /* ms of a frame for physics; what is too slow for that goes slower */
+/* What a picture depends on. While that stays, as in a paused scene, nothing is drawn. */
+let changes = 0, pictured = "";
+const pictureOf = () => [changes, camera.yaw, camera.pitch, camera.distance, dark(), view.clientWidth, view.clientHeight, swipe.length,
+  held ? held.at : 0, devicePixelRatio].join(" ");
+
 let last = 0, frames = 0, drawn = 0, shown = 0, clock = 0, simulated = 0;
 function frame(now) {
   try {
@@ -494,8 +502,11 @@ function frame(now) {
     }
     clock += passed;
     const drawing = performance.now();
-    draw();
-    drawOver();
+    if (pictured !== pictureOf()) {
+      draw();
+      drawOver();
+      pictured = pictureOf();
+    }
     run.drawing += 0.1 * (performance.now() - drawing - run.drawing);
     ++frames;
     ++drawn;
@@ -580,6 +591,7 @@ function grabAt(px, py) {
 
 function letGo() {
   if (held) c.page_release();
+  if (held) ++changes;
   held = null;
 }
 
