@@ -108,6 +108,49 @@ static void scenes_do_what_they_are_for(void **state)
     sc_close(w);
 }
 
+/* The longest intact edge over its length at rest. */
+static double longest_edge(sc_world *w)
+{
+    double longest = 0;
+    sfem_int t;
+    int i, j;
+    sc_positions(w, 0, w->x);
+    for (t = 0; t < w->mesh.tets; ++t)
+        for (i = 0; i < 3; ++i)
+            for (j = i + 1; j < 4; ++j) {
+                const sfem_int *v = w->mesh.tet + 4 * (size_t)t;
+                double length[2];
+                int k;
+                if (!(sfem_body_edge_left(w->item[0].body, v[i], v[j]) > 0)) continue;
+                for (k = 0; k < 2; ++k) {
+                    const double *x = k ? w->mesh.x : w->x, *a = x + 3 * (size_t)v[i], *b = x + 3 * (size_t)v[j];
+                    length[k] = hypot(hypot(a[0] - b[0], a[1] - b[1]), a[2] - b[2]);
+                }
+                longest = fmax(longest, length[0] / length[1]);
+            }
+    return longest;
+}
+
+/* Where a blade leaves fibres that carry nothing, they break too, though nothing else may break by itself. */
+static void a_blade_leaves_nothing_hanging(void **state)
+{
+    int k;
+    (void)state;
+    for (k = 0; k < (TEST_SANITIZED ? 1 : 8); ++k) {
+        const double x = 0.4 + 0.05 * k, lean = 0.1 * k - 0.35;
+        const double from[6] = {x - lean, -1, 1, x - lean, 2, 1}, to[6] = {x + lean, -1, -1, x + lean, 2, -1};
+        sc_world *w = opened("cut", NULL, 0);
+        sfem_error err;
+        int marked;
+        assert_ok(sc_cut(w, from, to, &marked, &err), err);
+        assert_true(marked > 0);
+        assert_ok(sc_run(w, 50, &err), err);
+        assert_true(sc_measure_all(w).large >= 2);
+        assert_true(longest_edge(w) < 2.5);
+        sc_close(w);
+    }
+}
+
 static void the_hand_takes_what_the_ray_meets(void **state)
 {
     static const char *const name[3] = {"grab", "cut", "modes"};
@@ -258,6 +301,7 @@ int main(void)
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(every_scene_runs_and_repeats),
         cmocka_unit_test(scenes_do_what_they_are_for),
+        cmocka_unit_test(a_blade_leaves_nothing_hanging),
         cmocka_unit_test(the_hand_takes_what_the_ray_meets),
         cmocka_unit_test(bad_values_leave_the_scene_as_it_was),
         cmocka_unit_test(a_softer_body_goes_on_where_it_was),
