@@ -73,7 +73,7 @@ $(BUILD)/run/part_%.o: softfem.h Makefile $(BUILD)/flags
 	@$(CC) $(RUN_FLAGS) $(PART_$*) -DSOFTFEM_IMPLEMENTATION -c -o $@ -x c softfem.h && \
 	    echo 'softfem.h, $*' >>$(BUILD)/run/steps
 
-$(BUILD)/run/%.o: examples/%.c $(wildcard examples/*.h) softfem.h Makefile $(BUILD)/flags
+$(BUILD)/run/%.o: examples/%.c $(wildcard examples/*.h examples/scenes/*.h) softfem.h Makefile $(BUILD)/flags
 	@mkdir -p $(@D)
 	@$(CC) $(RUN_FLAGS) $(PART_$(call part_of,$*)) -c -o $@ $< && echo '$<' >>$(BUILD)/run/steps
 
@@ -161,6 +161,48 @@ bench-eigen: $(BUILD)/bench/eigen ## modes beside ARPACK on CHOLMOD where instal
 	OMP_THREAD_LIMIT=1 OPENBLAS_NUM_THREADS=1 $(ENVIRONMENT) $(BUILD)/bench/eigen
 
 examples: $(EXAMPLE_PROGRAMS) ## build every example
+
+# Debian: clang, lld, wasi-libc, libclang-rt-14-dev-wasm32. Each of simd, plain and native is softfem.h and page.c. Without
+# contraction, with portable kernels and functions of its own in place of libm's, all three compute the same bits.
+WEB = $(BUILD)/web
+WEB_CC ?= clang
+WEB_FLAGS = -std=c99 $(WARNINGS) -Werror -I. -ffp-contract=off
+WASM = --target=wasm32-wasi
+WEB_simd   = $(WASM) -O2 -msimd128
+WEB_plain  = $(WASM) -O1
+WEB_native = -O1
+WASM_LINK = $(WASM) -mexec-model=reactor -Wl,-z,stack-size=1048576 -Wl,--stack-first -Wl,--strip-all
+
+web: $(WEB)/softfem.html ## build/web/softfem.html: scenes to play with in a browser, one file
+
+serve: $(WEB)/softfem.html ## the same, served to browsers: http://localhost:8000/softfem.html
+	cd $(WEB) && python3 -m http.server 8000
+
+test-web: $(WEB)/softfem.html $(WEB)/native ## the page in headless Chromium, its hashes beside those of a native program
+	@python3 tests/web.py $^
+
+$(WEB)/tools:
+	@mkdir -p $(@D)
+	@printf '#include <stdio.h>\nint main(void){return 0;}\n' | $(WEB_CC) --target=wasm32-wasi -x c - -o $@ 2>/dev/null || \
+	    { echo 'The page needs a compiler for WebAssembly. Type this, then make web again:'; \
+	    echo '    sudo apt-get install clang lld wasi-libc libclang-rt-14-dev-wasm32'; exit 1; }
+
+WEB_HEADERS = examples/web/page.h examples/web/portable_math.h softfem.h
+
+$(WEB)/%_softfem.o: $(WEB_HEADERS) $(WEB)/tools
+	$(WEB_CC) $(WEB_FLAGS) $(WEB_$*) -include examples/web/page.h -DSOFTFEM_IMPLEMENTATION -c -o $@ -x c softfem.h
+
+$(WEB)/%_page.o: examples/web/page.c $(wildcard examples/scenes/*.h) $(WEB_HEADERS) $(WEB)/tools
+	$(WEB_CC) $(WEB_FLAGS) $(WEB_$*) -c -o $@ $<
+
+$(WEB)/%.wasm: $(WEB)/%_softfem.o $(WEB)/%_page.o
+	$(WEB_CC) $(WASM_LINK) -o $@ $^
+
+$(WEB)/native: $(WEB)/native_softfem.o $(WEB)/native_page.o
+	$(WEB_CC) -o $@ $^ -lm
+
+$(WEB)/softfem.html: $(WEB)/simd.wasm $(WEB)/plain.wasm examples/web/page.html examples/web/page.js examples/web/build.py
+	python3 examples/web/build.py $(WEB)/simd.wasm $(WEB)/plain.wasm $@
 
 gallery: $(BUILD)/examples/gallery ## the pictures of examples/gallery/, the first of them that of README.md
 	$(BUILD)/examples/gallery --out examples/gallery
@@ -272,7 +314,7 @@ $(BUILD)/examples/hello: examples/hello.c softfem.h $(BUILD)/flags
 	@mkdir -p $(@D)
 	$(CC) $(FLAGS) -o $@ $< $(LDFLAGS) -lm
 
-$(BUILD)/examples/%: examples/%.c $(wildcard examples/*.h) softfem.h $(BUILD)/softfem.o
+$(BUILD)/examples/%: examples/%.c $(wildcard examples/*.h examples/scenes/*.h) softfem.h $(BUILD)/softfem.o
 	@mkdir -p $(@D)
 	$(CC) $(FLAGS) $(FLAGS_$*) -o $@ $< $(BUILD)/softfem.o $(LDFLAGS) -lm
 
@@ -281,6 +323,8 @@ $(BUILD)/tests/%: tests/%.c $(wildcard tests/*.h) softfem.h $(BUILD)/softfem.o $
 	$(CC) $(FLAGS) $(FLAGS_$*) -pthread -o $@ $< $(BUILD)/softfem.o $(LDFLAGS) -lcmocka -lm
 
 $(BUILD)/tests/test_stress: bench/stress.h tests/bodies.h
+
+$(BUILD)/tests/test_scenes: $(wildcard examples/scenes/*.h) examples/web/portable_math.h
 
 $(addprefix $(BUILD)/bench/,real integrators accuracy stress hash): tests/bodies.h
 

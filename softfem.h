@@ -1362,7 +1362,7 @@ typedef struct sfem_damage_def {
     const sfem_int *line;        /* [line_count][2] nodes of edges with a factor of their own */
     sfem_int line_count;
     sfem_real line_factor;       /* 0 means 1 */
-    int line_only;               /* no other edges break, except by a blade */
+    int line_only;               /* no other edges break, except by a blade and where one leaves fibres */
     int closure;           /* a broken edge carries compression again: p >= 1/2, condensed only. An edge
                             * at an obtuse angle of its tet may open under pressure */
     sfem_real upright[2];  /* edge lengths do not tell a tet from its mirror image. So below J =
@@ -22788,8 +22788,7 @@ static int sfemi_damage_is_dangling(const sfemi_damage *d, sfem_int k)
     return link || sfemi_damage_carried(d, k) < SFEMI_DAMAGE_SLACK * sfemi_damage_limit(d, k);
 }
 
-/* Breaks edges that hang. Breaking one may leave another. d->dangling: there may be some, for something broke or one had
- * to wait. */
+/* Breaks edges that hang. Breaking one may leave another. */
 static void sfemi_damage_sweep_dangling(sfemi_damage *d, const sfemi_damage_step *step,
                                     sfemi_damage_change *change)
 {
@@ -22803,7 +22802,7 @@ static void sfemi_damage_sweep_dangling(sfemi_damage *d, const sfemi_damage_step
             if (sfemi_damage_zetas(d, e, zeta) == 63) continue;
             for (k = 0; k < 6; ++k) {
                 const sfem_int edge = g->tet_edge[6 * e + k];
-                if (g->never[edge] || !(d->zeta[edge] > 0)) continue;
+                if (g->never[edge] == SFEMI_NEVER || !(d->zeta[edge] > 0)) continue;
                 if (!sfemi_damage_is_dangling(d, edge)) continue;
                 did |= sfemi_damage_try(d, edge, 0, SFEM_BROKE_DANGLING, step, change);
             }

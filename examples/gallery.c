@@ -14,6 +14,7 @@
 #include "support.h"
 #include "softfem.h"
 #include "elastic.h"
+#include "scenes/all.h"
 
 static const ex_option table[] = {
     {"PICTURE", "all|first|cut|twist|plate|hand", "all", "which"},
@@ -48,56 +49,29 @@ static void end(ex_picture *p, const char *out, const char *name)
     ex_picture_free(p);
 }
 
-/* --------------------------------------------------------------------------------------------
- * The bear: spheres, ellipsoids and capsules, blended; it stands on z = 0 and looks along -y. 1 m high.
- * -------------------------------------------------------------------------------------------- */
-
-static double blend(double a, double b, double width) /* smooth minimum */
+/* A scene with some of its sliders: pairs of a name and a value, then NULL. */
+static sc_world *scene(const char *name, ...)
 {
-    const double t = ex_clamp(0.5 + 0.5 * (b - a) / width, 0, 1);
-    return b + t * (a - b) - width * t * (1 - t);
-}
-
-static double ellipsoid(const double *x, double cx, double cy, double cz, double rx, double ry, double rz)
-{
-    const double a = (x[0] - cx) / rx, b = (x[1] - cy) / ry, c = (x[2] - cz) / rz;
-    const double k0 = sqrt(a * a + b * b + c * c);
-    const double k1 = sqrt(a * a / (rx * rx) + b * b / (ry * ry) + c * c / (rz * rz));
-    return k1 > 0 ? k0 * (k0 - 1) / k1 : -rx;
-}
-
-static double capsule(const double *x, const double *a, const double *b, double radius)
-{
-    double d[3], p[3], t = 0, q;
-    int k;
-    for (k = 0; k < 3; ++k) d[k] = b[k] - a[k], p[k] = x[k] - a[k];
-    t = ex_clamp(ex_dot(p, d) / ex_dot(d, d), 0, 1);
-    for (q = 0, k = 0; k < 3; ++k) q += (p[k] - t * d[k]) * (p[k] - t * d[k]);
-    return sqrt(q) - radius;
-}
-
-static sfem_real bear(const sfem_real x[3], void *user)
-{
-    static const double shoulder[3] = {0.16, -0.02, 0.53}, hand[3] = {0.41, -0.05, 0.53};
-    static const double hip[3] = {0.11, 0, 0.17}, foot[3] = {0.15, -0.15, 0.075};
-    const double y[3] = {fabs(x[0]), x[1], x[2]}; /* both sides */
-    double d = ellipsoid(y, 0, 0, 0.39, 0.215, 0.17, 0.27);
-    (void)user;
-    d = blend(d, ellipsoid(y, 0, -0.02, 0.77, 0.185, 0.17, 0.17), 0.05);
-    d = blend(d, ellipsoid(y, 0.135, 0, 0.915, 0.075, 0.055, 0.075), 0.03);
-    d = blend(d, ellipsoid(y, 0, -0.18, 0.73, 0.085, 0.065, 0.065), 0.03);
-    d = blend(d, capsule(y, shoulder, hand, 0.078), 0.05);
-    d = blend(d, capsule(y, hip, foot, 0.095), 0.05);
-    return fmax(d, 0.004 - x[2]); /* flat soles */
-}
-
-static void make_bear(sfem_mesh *mesh, int tets)
-{
-    const sfem_real box[2][3] = {{-0.6, -0.35, 0}, {0.6, 0.3, 1.1}};
-    sfem_mesher_def def = sfem_default_mesher_def();
+    const sc_scene *scene = sc_find(name);
+    double value[SC_SLIDERS];
+    const char *slider;
     sfem_error err;
-    def.tets = tets;
-    must(sfem_mesh_from_sdf(&def, bear, NULL, box, mesh, NULL, &err), &err);
+    sc_world *w;
+    va_list list;
+    int k;
+    for (k = 0; k < SC_SLIDERS; ++k) value[k] = scene->slider[k].value;
+    va_start(list, name);
+    while ((slider = va_arg(list, const char *)) != NULL) value[sc_slider_of(scene, slider)] = va_arg(list, double);
+    va_end(list);
+    w = sc_open(scene, value, &err);
+    if (!w) ex_fail("%s: %s", name, err.text);
+    return w;
+}
+
+static void step(sc_world *w, int steps)
+{
+    sfem_error err;
+    must(sc_run(w, steps, &err), &err);
 }
 
 /* --------------------------------------------------------------------------------------------
@@ -156,99 +130,26 @@ static void draw_face(ex_picture *p, const sfem_mesh *mesh, sfem_body *body, con
     free(x);
 }
 
-typedef struct toy {
-    sfem_mesh mesh;
-    sfem_model *model;
-    sfem_body *body;
-    sfem_int *hand, hands; /* nodes that are pulled */
-    double h, pulled;
-} toy;
-
-static void make_toy(toy *b, int quick)
-{
-    sfem_model_def model_def = sfem_default_model_def();
-    sfem_body_def def = sfem_default_body_def();
-    sfem_damage_def damage = sfem_default_damage_def();
-    sfem_int *pins, i;
-    unsigned char *whole;
-    sfem_error err;
-    int k;
-    make_bear(&b->mesh, quick ? 1500 : 9000);
-    model_def.mesh = &b->mesh;
-    model_def.material.law = SFEM_COROTATIONAL;
-    model_def.material.young = 1e5;
-    model_def.material.poisson = 0.4;
-    model_def.material.mass_damping = 2;
-    must(sfem_model_create(&model_def, &b->model, &err), &err);
-    pins = (sfem_int *)ex_new((size_t)b->mesh.nodes, sizeof *pins);
-    b->hand = (sfem_int *)ex_new((size_t)b->mesh.nodes, sizeof *b->hand);
-    for (i = 0; i < b->mesh.nodes; ++i) {
-        const double *x = b->mesh.x + 3 * (size_t)i;
-        if (x[2] < 0.02 || fabs(x[0]) > 0.42) pins[def.pin_count++] = i;
-        if (fabs(x[0]) > 0.42) b->hand[b->hands++] = i;
-    }
-    whole = (unsigned char *)ex_new((size_t)b->mesh.tets, 1); /* all but the left shoulder */
-    for (i = 0; i < b->mesh.tets; ++i) {
-        double x = 0;
-        for (k = 0; k < 4; ++k) x += 0.25 * b->mesh.x[3 * (size_t)b->mesh.tet[4 * i + k]];
-        whole[i] = x < -0.31 || x > -0.2;
-    }
-    damage.toughness = 3000;
-    damage.weibull = 8;
-    damage.unbreakable = whole;
-    def.damage = &damage;
-    def.pins = pins;
-    def.gravity[2] = -9.81;
-    must(sfem_body_create(b->model, &def, &b->body, &err), &err);
-    b->h = quick ? 0.008 : 0.004;
-    free(whole);
-    free(pins);
-}
-
-/* The hands go apart and up, until `far` or until something has come off. */
-static void pull(toy *b, double far)
-{
-    sfem_error err;
-    sfem_int i;
-    while (b->pulled < far && sfem_body_fracture(b->body).pieces < 2) {
-        b->pulled += 0.6 * b->h;
-        for (i = 0; i < b->hands; ++i) {
-            const double *x = b->mesh.x + 3 * (size_t)b->hand[i];
-            double to[3];
-            to[0] = x[0] + (x[0] > 0 ? b->pulled : -b->pulled);
-            to[1] = x[1];
-            to[2] = x[2] + 0.35 * b->pulled;
-            must(sfem_body_move_pin(b->body, b->hand[i], to, &err), &err);
-        }
-        must(sfem_body_step(b->body, b->h, &err), &err);
-    }
-}
-
 static void first(const char *out, int quick)
 {
     const double lower[3] = {-0.42, -0.2, 0.06}, upper[3] = {3.4, 0.1, 0.94}, from[3] = {0.1, -1, 0.17};
     static const double x[3] = {0, 1.27, 2.92}; /* of the three bears */
     double by[3] = {0, 0, 0};
     ex_picture *p = begin(960, 330, lower, upper, from);
-    sfem_error err;
-    toy b;
-    int k, i;
-    memset(&b, 0, sizeof b);
-    make_toy(&b, quick);
+    sc_world *w = scene("tear", "tets", quick ? 1500.0 : 9000.0, "h", quick ? 8.0 : 4.0, NULL);
+    int k;
     p->ground = 0;
     for (k = 0; k < 3; ++k) {
-        if (k) pull(&b, k == 1 ? 0.22 : 0.8);
-        for (i = 0; k == 2 && i < (quick ? 5 : 20); ++i) must(sfem_body_step(b.body, b.h, &err), &err);
+        while (k == 1 && !w->phase && w->way < 0.22) step(w, 1);
+        while (k == 2 && !w->phase && w->way < 0.8) step(w, 1);
+        if (k == 2) step(w, quick ? 5 : 20);
         by[0] = x[k];
-        draw_fragments(p, b.body, by, gummy, torn);
-        draw_face(p, &b.mesh, b.body, by);
+        draw_fragments(p, w->item[0].body, by, gummy, torn);
+        draw_face(p, &w->mesh, w->item[0].body, by);
     }
-    printf("torn when each hand was pulled by %.2f m\n", b.pulled);
+    printf("torn when each hand was pulled by %.2f m\n", w->way);
     end(p, out, "first.png");
-    sfem_body_free(b.body);
-    sfem_model_free(b.model);
-    sfem_mesh_free(&b.mesh);
-    free(b.hand);
+    sc_close(w);
 }
 
 /* --------------------------------------------------------------------------------------------
@@ -261,7 +162,8 @@ static void cut(const char *out, int quick)
     double lower[3], upper[3];
     ex_style style = ex_default_style();
     sfem_surface whole, half;
-    sfem_mesh mesh, part;
+    sc_world *w = scene("grab", "tets", quick ? 1500.0 : 9000.0, NULL);
+    sfem_mesh mesh = w->mesh, part = w->mesh;
     unsigned char *skin;
     ex_picture *p;
     sfem_error err;
@@ -269,9 +171,7 @@ static void cut(const char *out, int quick)
     long count[2] = {0, 0};
     sfem_int t;
     int k, c;
-    make_bear(&mesh, quick ? 1500 : 9000);
     ex_bounds(mesh.x, mesh.nodes, 1, lower, upper);
-    part = mesh;
     part.tet = (sfem_int *)ex_new(4 * (size_t)mesh.tets, sizeof *part.tet);
     for (part.tets = 0, t = 0; t < mesh.tets; ++t) {
         double x = 0;
@@ -302,7 +202,7 @@ static void cut(const char *out, int quick)
     end(p, out, "cut.png");
     sfem_surface_free(&whole);
     sfem_surface_free(&half);
-    sfem_mesh_free(&mesh);
+    sc_close(w);
     free(part.tet);
     free(skin);
 }
@@ -313,62 +213,28 @@ static void cut(const char *out, int quick)
 
 static void twist(const char *out, int quick)
 {
-    const sfem_int cells[3] = {quick ? 10 : 40, quick ? 2 : 8, quick ? 2 : 8};
-    const sfem_real size[3] = {1, 0.2, 0.2};
     const double lower[3] = {0, 0, -0.62}, upper[3] = {1, 0.2, 0.2}, from[3] = {0.3, -1, 0.25};
-    const int steps = quick ? 40 : 240;
-    sfem_model_def model_def = sfem_default_model_def();
-    sfem_body_def def = sfem_default_body_def();
     ex_picture *p = begin(640, 470, lower, upper, from);
     ex_style style = ex_default_style();
+    sc_world *w = scene("twist", "tets", quick ? 500.0 : 12000.0, "rate", quick ? 1.0 : 0.25, "damping", 4.0, NULL);
     double *x, *value[3], *at[3], low;
-    sfem_surface surface;
-    sfem_model *model;
-    sfem_body *body;
-    sfem_mesh mesh;
-    sfem_error err;
-    sfem_int *pins, i;
-    int k, shot = 0;
-    must(sfem_mesh_block(cells, size, SFEM_CELL_5_TETS, NULL, &mesh, &err), &err);
-    must(sfem_mesh_surface(&mesh, NULL, &surface, &err), &err);
-    model_def.mesh = &mesh;
-    model_def.material.law = SFEM_COROTATIONAL;
-    model_def.material.young = 3e5;
-    model_def.material.mass_damping = 4;
-    must(sfem_model_create(&model_def, &model, &err), &err);
-    pins = (sfem_int *)ex_new((size_t)mesh.nodes, sizeof *pins);
-    for (i = 0; i < mesh.nodes; ++i)
-        if (mesh.x[3 * i] < 1e-9 || mesh.x[3 * i] > 1 - 1e-9) pins[def.pin_count++] = i;
-    def.pins = pins;
-    must(sfem_body_create(model, &def, &body, &err), &err);
-    for (k = 0; k <= steps; ++k) {
-        const double a = 2 * 3.14159265358979 * k / steps, c = cos(a), s = sin(a);
-        for (i = 0; k && i < def.pin_count; ++i) {
-            const double *r = mesh.x + 3 * (size_t)pins[i], y = r[1] - 0.1, z = r[2] - 0.1;
-            const double to[3] = {r[0], 0.1 + c * y - s * z, 0.1 + s * y + c * z};
-            if (r[0] > 0.5) must(sfem_body_move_pin(body, pins[i], to, &err), &err);
-        }
-        if (k) must(sfem_body_step(body, 1 / 60.0, &err), &err);
-        if (k % (steps / 2)) continue;
-        x = at[shot] = (double *)ex_new(3 * (size_t)mesh.nodes, sizeof *x);
-        sfem_body_positions(body, x);
-        value[shot] = ex_node_stress(model, &mesh, x);
-        ex_range(value[shot], mesh.nodes, &low, &style.high);
-        for (i = 0; i < mesh.nodes; ++i) x[3 * i + 2] -= 0.31 * shot;
-        ++shot;
+    int k, shot;
+    for (shot = 0; shot < 3; ++shot) {
+        while (w->way < 0.5 * shot - 1e-9) step(w, 1);
+        x = at[shot] = (double *)ex_new(3 * (size_t)w->mesh.nodes, sizeof *x);
+        sc_positions(w, 0, x);
+        value[shot] = ex_node_stress(w->model, &w->mesh, x);
+        ex_range(value[shot], w->mesh.nodes, &low, &style.high);
+        for (k = 0; k < w->mesh.nodes; ++k) x[3 * k + 2] -= 0.31 * shot;
     }
     style.edges = 0.2;
     for (k = 0; k < shot; ++k) {
-        ex_view_surface(p, mesh.nodes, at[k], surface.triangles, surface.tri, value[k], &style);
+        ex_view_surface(p, w->mesh.nodes, at[k], w->surface.triangles, w->surface.tri, value[k], &style);
         free(at[k]);
         free(value[k]);
     }
     end(p, out, "twist.png");
-    sfem_body_free(body);
-    sfem_model_free(model);
-    sfem_surface_free(&surface);
-    sfem_mesh_free(&mesh);
-    free(pins);
+    sc_close(w);
 }
 
 /* --------------------------------------------------------------------------------------------
@@ -377,70 +243,15 @@ static void twist(const char *out, int quick)
 
 static void plate(const char *out, int quick)
 {
-    const sfem_int cells[3] = {quick ? 10 : 28, quick ? 10 : 28, quick ? 1 : 2};
-    const sfem_real size[3] = {1, 1, 0.05};
     const double lower[3] = {0, 0, -0.42}, upper[3] = {1, 1, 0.05}, from[3] = {0.5, -1, 0.62}, by[3] = {0, 0, 0};
-    const double h = quick ? 0.001 : 0.0005;
-    const int steps = quick ? 60 : 330;
-    sfem_model_def model_def = sfem_default_model_def();
-    sfem_body_def def = sfem_default_body_def();
-    sfem_damage_def damage = sfem_default_damage_def();
-    sfem_int *pins, i, handle[64], handles = 0;
-    uint64_t state = 4;
-    sfem_model *model;
-    sfem_body *body;
-    ex_picture *p;
-    sfem_mesh mesh;
-    sfem_error err;
-    int k, c;
-    must(sfem_mesh_block(cells, size, SFEM_CELL_5_TETS, NULL, &mesh, &err), &err);
-    for (i = 0; i < 3 * mesh.nodes; ++i) { /* so that cracks do not follow the cells */
-        const double d = 0.004 * ex_clamp(ex_gauss(&state), -1.5, 1.5), s = size[i % 3];
-        if (mesh.x[i] > 1e-9 && mesh.x[i] < s - 1e-9) mesh.x[i] += d;
-    }
-    model_def.mesh = &mesh;
-    model_def.material.law = SFEM_COROTATIONAL;
-    model_def.material.young = 5e6;
-    model_def.material.mass_damping = 0.1;
-    must(sfem_model_create(&model_def, &model, &err), &err);
-    pins = (sfem_int *)ex_new((size_t)mesh.nodes, sizeof *pins);
-    for (i = 0; i < mesh.nodes; ++i)
-        for (c = 0; c < 2; ++c)
-            if (mesh.x[3 * i + c] < 1e-9 || mesh.x[3 * i + c] > 1 - 1e-9) {
-                pins[def.pin_count++] = i;
-                break;
-            }
-    damage.toughness = 22;
-    damage.weibull = 6;
-    def.damage = &damage;
-    def.pins = pins;
-    def.max_handles = 64;
-    def.gravity[2] = -9.81;
-    must(sfem_body_create(model, &def, &body, &err), &err);
-    for (i = 0; i < mesh.nodes && handles < 64; ++i) {
-        const double *x = mesh.x + 3 * (size_t)i;
-        if (x[2] > 0.049 && hypot(x[0] - 0.5, x[1] - 0.45) < (quick ? 0.1 : 0.07))
-            must(sfem_body_grab_node(body, i, &handle[handles++], &err), &err);
-    }
-    for (k = 0; k < steps; ++k) {
-        for (i = 0; i < handles; ++i) {
-            double x[3];
-            sfem_body_handle_position(body, handle[i], x);
-            x[2] -= 4 * h;
-            must(sfem_body_move_handle(body, handle[i], x, &err), &err);
-        }
-        must(sfem_body_step(body, h, &err), &err);
-        if (4 * (k + 1) * h < 0.12) continue;
-        while (handles) sfem_body_release_handle(body, handle[--handles]);
-    }
-    p = begin(640, 470, lower, upper, from);
+    ex_picture *p = begin(640, 470, lower, upper, from);
+    sc_world *w = scene("shatter", "tets", quick ? 500.0 : 7840.0, "h", quick ? 1.0 : 0.5, "toughness", 22.0, "damping", 0.1,
+                        "accuracy", 1e-6, "blow", 7.0, NULL);
+    step(w, quick ? 60 : 330);
     p->ground = -0.42;
-    draw_fragments(p, body, by, outside, inside);
+    draw_fragments(p, w->item[0].body, by, outside, inside);
     end(p, out, "plate.png");
-    sfem_body_free(body);
-    sfem_model_free(model);
-    sfem_mesh_free(&mesh);
-    free(pins);
+    sc_close(w);
 }
 
 #ifndef SFEM_NO_REDUCED
