@@ -20313,8 +20313,9 @@ static int sfemi_damage_is_dangling(const sfemi_damage *d, sfem_int k)
         link &= d->kind[e] == SFEMI_DISCONNECTED ||
                 sfemi_damage_links[sfemi_damage_zetas(d, e, zeta)] >> g->edge_tet[at] % 6 & 1;
     }
-    return link || (sfemi_damage_is_open(d, k) && sfemi_damage_is_idle(d, k) &&
-                    sfemi_damage_carried(d, k) < SFEMI_DAMAGE_SLACK * sfemi_damage_limit(d, k));
+    return link || (sfemi_damage_is_open(d, k) &&
+                    sfemi_damage_carried(d, k) < SFEMI_DAMAGE_SLACK * sfemi_damage_limit(d, k) &&
+                    sfemi_damage_is_idle(d, k));
 }
 
 /* Breaks edges that hang. Breaking one may leave another. d->dangling: there may be some, for something broke or one had
