@@ -1407,8 +1407,8 @@ SFEM_DEF sfem_real sfem_damage_stiffening(const sfem_damage_tet *tet, sfem_damag
 /* Why an edge broke. */
 typedef enum sfem_break_reason {
     SFEM_BROKE_CRITERION,
-    SFEM_BROKE_DANGLING, /* no tet around it is whole, or only up to three that go together, and it carries next to
-                          * nothing, or in each of them it is the only intact link between its nodes */
+    SFEM_BROKE_DANGLING, /* no tet around it is whole, or only up to three that go together, and in each of them it is
+                          * the only intact link between its nodes, or the crack there is open and it carries little */
     SFEM_BROKE_BLADE
 } sfem_break_reason;
 
@@ -22769,9 +22769,83 @@ static int sfemi_damage_holds(const sfemi_damage *d, sfem_int e)
     return !edge_of;
 }
 
+enum { SFEMI_DAMAGE_TIES = 3, SFEMI_DAMAGE_MANY = 64 }; /* edges that hold a node; neighbours of a node that are looked at */
+
+/* Does a tet round the node hold? */
+static int sfemi_damage_is_firm(const sfemi_damage *d, sfem_int node)
+{
+    const sfemi_bonds *g = d->bonds;
+    sfem_int at;
+    for (at = g->node_tet_start[node]; at < g->node_tet_start[node + 1]; ++at)
+        if (sfemi_damage_holds(d, g->node_tet[at])) return 1;
+    return 0;
+}
+
+/* The largest group of edges to firm nodes that hang together by edges, of those that node i has, which is not firm
+ * itself; of equal ones the first. Returns its size; *in: whether edge k is in it. */
+static int sfemi_damage_ties(const sfemi_damage *d, sfem_int i, sfem_int k, int *in)
+{
+    const sfemi_bonds *g = d->bonds;
+    sfem_int node[SFEMI_DAMAGE_MANY], at;
+    int group[SFEMI_DAMAGE_MANY], size[SFEMI_DAMAGE_MANY], count = 0, a, b, c, mine = -1, most = 0;
+    for (at = g->node_start[i]; at < g->node_start[i + 1] && count < SFEMI_DAMAGE_MANY; ++at) {
+        const sfem_int edge = g->node_edge[at], j = sfemi_damage_across(g, edge, i);
+        if (!(d->zeta[edge] > 0) || !sfemi_damage_is_firm(d, j)) continue;
+        if (edge == k) mine = count;
+        size[count] = 0;
+        group[count] = count;
+        node[count++] = j;
+    }
+    for (a = 0; a < count; ++a)
+        for (at = g->node_start[node[a]]; at < g->node_start[node[a] + 1]; ++at)
+            for (b = 0; d->zeta[g->node_edge[at]] > 0 && b < a; ++b) {
+                const int from = group[a], to = group[b];
+                if (node[b] != sfemi_damage_across(g, g->node_edge[at], node[a])) continue;
+                for (c = 0; c < count; ++c) group[c] = group[c] == from ? to : group[c];
+            }
+    for (a = 0; a < count; ++a) ++size[group[a]];
+    for (a = 1; a < count; ++a) most = size[a] > size[most] ? a : most;
+    *in = mine >= 0 && group[mine] == most;
+    return count ? size[most] : 0;
+}
+
+/* Would both ends of edge k be held without it? A firm one is; another one by its ties, of which k is none. Where nothing
+ * is firm, breaks are scattered, and the edges hold together as a truss. */
+static int sfemi_damage_is_idle(const sfemi_damage *d, sfem_int k)
+{
+    const sfem_int *end = d->bonds->end + 2 * (size_t)k;
+    const int firm[2] = {sfemi_damage_is_firm(d, end[0]), sfemi_damage_is_firm(d, end[1])};
+    int side, in = 0;
+    for (side = 0; d->bonds->def.law != SFEM_DAMAGE_ZSZ && side < 2; ++side) { /* with that, ties do hold sides together */
+        if (firm[side]) continue;
+        if (sfemi_damage_ties(d, end[side], k, &in) < (firm[!side] ? 1 : SFEMI_DAMAGE_TIES) || in) return 0;
+    }
+    return 1;
+}
+
+/* Is the crack round edge k open? Then an edge as long as one of the broken ones of its tets would be beyond its limit. */
+static int sfemi_damage_is_open(const sfemi_damage *d, sfem_int k)
+{
+    const sfemi_bonds *g = d->bonds;
+    sfem_int at;
+    int j;
+    for (at = g->tet_start[k]; at < g->tet_start[k + 1]; ++at) {
+        const size_t e = (size_t)(g->edge_tet[at] / 6);
+        const sfem_real lambda = g->model->lambda[e], mu = g->model->mu[e];
+        const sfem_real young = mu * (3 * lambda + 2 * mu) / (lambda + mu);
+        for (j = 0; j < 6; ++j) {
+            const sfem_int other = g->tet_edge[6 * e + (size_t)j];
+            const sfem_real strain = d->strain[other]; /* its tets' volume is 2 L a */
+            if (d->zeta[other] > 0 || !(strain > 0)) continue;
+            if (young * strain * strain * g->length[other] * g->area[other] >= sfemi_damage_limit(d, other)) return 1;
+        }
+    }
+    return 0;
+}
+
 /* An edge that is not broken hangs if no tet around it holds, so that only a mechanism of single edges and tets does, and
  *   in each of these tets it is the only link between its nodes, or the tet does not hang together; or
- *   it carries little.
+ *   it carries little, its nodes are held without it, and the crack is open there.
  * Breaking it damages hardly any further tet: cracks do not grow by it. */
 static int sfemi_damage_is_dangling(const sfemi_damage *d, sfem_int k)
 {
@@ -22785,7 +22859,9 @@ static int sfemi_damage_is_dangling(const sfemi_damage *d, sfem_int k)
         link &= d->kind[e] == SFEMI_DISCONNECTED ||
                 sfemi_damage_links[sfemi_damage_zetas(d, e, zeta)] >> g->edge_tet[at] % 6 & 1;
     }
-    return link || sfemi_damage_carried(d, k) < SFEMI_DAMAGE_SLACK * sfemi_damage_limit(d, k);
+    return link || (sfemi_damage_is_open(d, k) &&
+                    sfemi_damage_carried(d, k) < SFEMI_DAMAGE_SLACK * sfemi_damage_limit(d, k) &&
+                    sfemi_damage_is_idle(d, k));
 }
 
 /* Breaks edges that hang. Breaking one may leave another. */
@@ -45416,7 +45492,9 @@ static SFEMI_TARGET void SFEMI_KERNEL(sfemi_modes_scale)(const double *factor, c
 
 /* ============================================================================================
  * CHANGES
- *   next    smooth tets (sfem_material.tet), which do not lock in bending or as nu nears 0.5
+ *   next    contact with obstacles; smooth tets (sfem_material.tet), which do not lock in bending or as nu nears 0.5;
+ *           cracks advance by the energy release rate: share = 2/3 is the former criterion; what hangs by single edges
+ *           parts; graded meshes
  *   0.4.0   the step of nonlinear bodies is corrected by L-BFGS with its factor (accuracy, dissipation in place of
  *           corrections); linear bodies keep their energy where steps, pins or handles change; impulses; damping
  *           forces with (p,q,r); refactorise in place of renew; Medit, Abaqus, .vtu and binary VTK meshes; sets and

@@ -514,6 +514,7 @@ static void the_energies_of_a_linear_body_balance(void **state)
             if (x < 0.15 || x > 0.85) never[i / 4] = 1;
         }
         damage.unbreakable = never;
+        damage.share = 2 / 3.0; /* by single edges: many break */
         damage.protect_handles = 0; /* what the handle holds is to break, too */
         def.frame = k == 2 ? SFEM_FRAME_NODE : SFEM_FRAME_REST;
         def.gravity[2] = -9.81;
