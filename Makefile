@@ -54,17 +54,17 @@ help: ## print this list
 	@grep -E '^[a-z-]+:.*## ' Makefile | sed -E 's/^([a-z-]+):.*## (.*)/  make \1|\2/' | \
 	    awk -F'|' '{ printf "%-20s %s\n", $$1, $$2 }'
 
-RUN = gallery crush fracture grab modes stream
+RUN = gallery crush drop fracture grab gripper modes stream
 
-run: ## bodies are torn, crushed, cut, grabbed, vibrate, are streamed: pictures in build/ in under 30 s
+run: ## bodies are torn, crushed, dropped, cut, grabbed, gripped, vibrate, are streamed: pictures in build/ in under 30 s
 	+@MAKE='$(MAKE)' BUILD='$(BUILD)' JOBS='$(JOBS)' RUN='$(RUN)' sh examples/run.sh
 
 # `run` compiles softfem.h in two parts beside each other, at -O1 unless CFLAGS is given: all of it at -O2 takes one
 # processor longer than the whole run. $(BUILD)/run/steps gets a line for each step that is done.
 RUN_FLAGS = $(FLAGS) $(if $(filter file,$(origin CFLAGS)),-O1 -g0)
-PART_bodies = -DSFEM_MINIMAL -DSFEM_ENABLE_DAMAGE -DSFEM_ENABLE_MESHER
+PART_bodies = -DSFEM_MINIMAL -DSFEM_ENABLE_DAMAGE -DSFEM_ENABLE_CONTACT -DSFEM_ENABLE_MESHER
 PART_modal  = -DSFEM_MINIMAL -DSFEM_ENABLE_LINK -DSFEM_ENABLE_MODES -DSFEM_ENABLE_MESHIO
-part_of = $(if $(filter gallery crush fracture,$(1)),bodies,modal)
+part_of = $(if $(filter gallery crush drop fracture gripper,$(1)),bodies,modal)
 
 run-programs: $(BUILD)/run/part_bodies.o $(BUILD)/run/part_modal.o $(RUN:%=$(BUILD)/run/%)
 
@@ -116,6 +116,9 @@ bench-embed: $(BUILD)/bench/embed ## render surfaces that follow bodies: ns a po
 
 bench-sleep: $(BUILD)/bench/sleep ## a step of a sleeping body, and what watching for sleep costs
 	$(ENVIRONMENT) $(BUILD)/bench/sleep
+
+bench-contact: $(BUILD)/bench/contact ## a step in contact over one without; first touch; the worst step of a drop
+	OMP_THREAD_LIMIT=1 $(BUILD)/bench/contact
 
 bench-scalar: $(BUILD)/bench/scalar ## a matrix S (x) I by the factor of S beside that of 3x3 blocks
 	$(ENVIRONMENT) $(BUILD)/bench/scalar

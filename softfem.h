@@ -26,14 +26,17 @@
  *     number, select    sfem_mesh_renumber, _components, _remove_unused; sfem_mesh_pick_ray, _locate
  *     make a model      sfem_default_material, sfem_default_model_def, sfem_model_create, _free; sfem_model_advice
  *     matrices, forces  sfem_model_stiffness, _combine, _forces, _tangent; sfem_add_gravity, _traction, _pressure
+ *                       of smooth tets sfem_model_assemble_stiffness, _smooth_info, _smooth_patch
  *     make a body       sfem_default_body_def, sfem_body_create, _free; sfem_body_place, _set_state
  *     step              sfem_body_step, or _predict, _solve, _finish; sfem_body_prepare; sfem_body_is_asleep, _wake
  *     rest              sfem_body_solve_static
  *     push              sfem_body_set_gravity, _set_lasting_force, _add_lasting_force; _add_step_force, _add_impulse
  *     hold and grab     sfem_body_set_pins, _move_pin; sfem_mesh_near; sfem_body_grab_node, _grab_point, _grab_region
  *                       sfem_body_move_handle, _release_handle
+ *     touch obstacles   sfem_contact_create, _add_body, _add_obstacle, _move_obstacle, _step, _points, _free
+ *                       sfem_obstacle_plane; sfem_contact_obstacle_force
  *     look at           sfem_body_positions, _velocities, _displacement, _energy, _get_info, _reactions
- *                       sfem_body_handle_force; sfem_model_stress
+ *                       sfem_body_handle_force; sfem_model_stress, _smooth_stress
  *     render            sfem_mesh_surface, sfem_body_to_floats, sfem_body_normals; sfem_surface_normals
  *                       sfem_embed_create, sfem_embed_to_floats, sfem_embed_break
  *     cut and break     sfem_default_damage_def; sfem_body_cut, _break_edge, _heal; sfem_body_fracture, _breaks
@@ -57,6 +60,7 @@
  *            >>api-mesher   tets from a surface or a function
  *            >>api-matrix   sparse and dense matrices, solvers    >>api-element >>api-model
  *            >>api-damage   fracture on the edge graph            >>api-body
+ *            >>api-contact  bodies against obstacles, with friction
  *            >>api-modes    eigenvalues and modes                 >>api-reduced modal bodies, warping
  *            >>api-link     modal motion over a lossy link
  *            >>api-embed    a render surface that follows a coarse body
@@ -78,6 +82,7 @@
  *            >>eigen        eigenvalues of full and band matrices
  *            >>cg           conjugate gradients
  *            >>element      linear, corotational, StVK, neo-Hookean tetrahedron; edge lengths
+ *            >>smooth       tets that do not lock: stars, patches, their forces and matrices
  *            >>fem          assembly, mass, damping, forces, tangents, loads, stress
  *            >>damage       edge form of the tet, damage laws, criterion, pieces
  *            >>factor       the shared factor of a body's system matrix
@@ -100,6 +105,7 @@
  *            >>refactor     a factor of the present tangent, made in slices
  *            >>method       what predict, solve and finish do for linear, Newton's and rotating bodies
  *            >>body         the pipeline that a user calls: create, prepare, step, read
+ *            >>contact      bodies against obstacles: rows, compliance, cones, the step of all bodies
  *            >>fragments    the surface of a broken body: pieces, cracks
  *            >>statics      static solutions
  *            >>modes        block Lanczos, inertia count
@@ -134,16 +140,20 @@
  *     SFEM_NO_DAMAGE     without fracture, >>api-damage
  *     SFEM_NO_NEWTON     without the integrators that iterate by Newton, and statics of nonlinear laws: bodies step by
  *                        (p,q,r) and its kin, or if linear by Newmark. The energy safeguard keeps its iteration
- *     SFEM_NO_BODY       without bodies that step by nodes, >>api-body, fracture and Newton's iteration
+ *     SFEM_NO_SMOOTH     without smooth tets (sfem_tet): models of linear ones only
+ *     SFEM_NO_CONTACT    without contact with obstacles, >>api-contact
+ *     SFEM_NO_BODY       without bodies that step by nodes, >>api-body, fracture, Newton's iteration and contact
  *     SFEM_NO_MODEL      without matrices, solvers, materials and models, >>api-matrix, >>api-element, >>api-model, and
  *                        what is made of them: bodies and modes
  *     SFEM_MINIMAL       meshes without all of these, but for those that an SFEM_ENABLE_ switch names:
  *     SFEM_ENABLE_MESHIO, SFEM_ENABLE_MESHER, SFEM_ENABLE_EMBED, SFEM_ENABLE_MODEL, SFEM_ENABLE_BODY (with models),
- *     SFEM_ENABLE_DAMAGE and SFEM_ENABLE_NEWTON (with bodies), SFEM_ENABLE_MODES (with models), SFEM_ENABLE_REDUCED,
- *     SFEM_ENABLE_LINK (with reduced models). SFEM_ENABLE_REDUCED alone plays reduced models that were saved; with
- *     SFEM_ENABLE_MODES it makes them
+ *     SFEM_ENABLE_DAMAGE, SFEM_ENABLE_NEWTON and SFEM_ENABLE_CONTACT (with bodies), SFEM_ENABLE_SMOOTH and
+ *     SFEM_ENABLE_MODES (with models), SFEM_ENABLE_REDUCED, SFEM_ENABLE_LINK (with reduced models).
+ *     SFEM_ENABLE_REDUCED alone plays reduced models that were saved; with SFEM_ENABLE_MODES it makes them
  *
- * LIMITS. Linear (4-node) tetrahedra. Node and tet counts below 2^31. No contact, no remeshing.
+ * LIMITS. 4-node tetrahedra: linear ones, which lock, or smooth ones, which do not (sfem_tet) but cannot break yet. Node
+ * and tet counts below 2^31. Bodies touch obstacles; they do not touch each other or themselves, and modal bodies touch
+ * nothing. No remeshing.
  */
 #ifndef SOFTFEM_H
 #define SOFTFEM_H
@@ -168,8 +178,11 @@
 #define SFEM_NO_NEWTON
 #endif
 #if !defined(SFEM_NO_BODY) && !defined(SFEM_ENABLE_BODY) && !defined(SFEM_ENABLE_DAMAGE) && \
-    !defined(SFEM_ENABLE_NEWTON)
+    !defined(SFEM_ENABLE_NEWTON) && !defined(SFEM_ENABLE_CONTACT)
 #define SFEM_NO_BODY
+#endif
+#if !defined(SFEM_NO_CONTACT) && !defined(SFEM_ENABLE_CONTACT)
+#define SFEM_NO_CONTACT
 #endif
 #if !defined(SFEM_NO_MESHER) && !defined(SFEM_ENABLE_MESHER)
 #define SFEM_NO_MESHER
@@ -186,7 +199,11 @@
 #if !defined(SFEM_NO_MODES) && !defined(SFEM_ENABLE_MODES)
 #define SFEM_NO_MODES
 #endif
-#if !defined(SFEM_NO_MODEL) && !defined(SFEM_ENABLE_MODEL) && defined(SFEM_NO_BODY) && defined(SFEM_NO_MODES)
+#if !defined(SFEM_NO_SMOOTH) && !defined(SFEM_ENABLE_SMOOTH)
+#define SFEM_NO_SMOOTH
+#endif
+#if !defined(SFEM_NO_MODEL) && !defined(SFEM_ENABLE_MODEL) && defined(SFEM_NO_BODY) && defined(SFEM_NO_MODES) && \
+    defined(SFEM_NO_SMOOTH)
 #define SFEM_NO_MODEL
 #endif
 #endif
@@ -195,6 +212,9 @@
 #endif
 #if defined(SFEM_ENABLE_BODY) && defined(SFEM_NO_BODY)
 #error "softfem.h: SFEM_ENABLE_BODY and SFEM_NO_BODY are both defined: define only one of them"
+#endif
+#if defined(SFEM_ENABLE_CONTACT) && (defined(SFEM_NO_CONTACT) || defined(SFEM_NO_BODY))
+#error "softfem.h: SFEM_ENABLE_CONTACT brings bodies: with it define neither SFEM_NO_CONTACT nor SFEM_NO_BODY"
 #endif
 #if defined(SFEM_ENABLE_DAMAGE) && defined(SFEM_NO_DAMAGE)
 #error "softfem.h: SFEM_ENABLE_DAMAGE and SFEM_NO_DAMAGE are both defined: define only one of them"
@@ -205,23 +225,31 @@
 #if (defined(SFEM_ENABLE_DAMAGE) || defined(SFEM_ENABLE_NEWTON)) && defined(SFEM_NO_BODY)
 #error "softfem.h: fracture and Newton's iteration are parts of bodies: define SFEM_NO_BODY, or SFEM_ENABLE_DAMAGE or SFEM_ENABLE_NEWTON, not both"
 #endif
+#if defined(SFEM_ENABLE_SMOOTH) && defined(SFEM_NO_SMOOTH)
+#error "softfem.h: SFEM_ENABLE_SMOOTH and SFEM_NO_SMOOTH are both defined: define only one of them"
+#endif
 #if defined(SFEM_ENABLE_MODEL) && defined(SFEM_NO_MODEL)
 #error "softfem.h: SFEM_ENABLE_MODEL and SFEM_NO_MODEL are both defined: define only one of them"
 #endif
 #ifdef SFEM_NO_MODEL
-#if defined(SFEM_ENABLE_BODY) || defined(SFEM_ENABLE_DAMAGE) || defined(SFEM_ENABLE_NEWTON) || defined(SFEM_ENABLE_MODES)
-#error "softfem.h: bodies and modes are made of models: define SFEM_NO_MODEL, or SFEM_ENABLE_ of one of them, not both"
+#if defined(SFEM_ENABLE_BODY) || defined(SFEM_ENABLE_DAMAGE) || defined(SFEM_ENABLE_NEWTON) || \
+    defined(SFEM_ENABLE_MODES) || defined(SFEM_ENABLE_SMOOTH)
+#error "softfem.h: bodies, modes and smooth tets are made of models: define SFEM_NO_MODEL, or SFEM_ENABLE_ of one of them, not both"
 #endif
 #undef SFEM_NO_BODY
 #undef SFEM_NO_MODES
+#undef SFEM_NO_SMOOTH
 #define SFEM_NO_BODY
 #define SFEM_NO_MODES
+#define SFEM_NO_SMOOTH
 #endif
 #ifdef SFEM_NO_BODY
 #undef SFEM_NO_DAMAGE
 #undef SFEM_NO_NEWTON
 #define SFEM_NO_DAMAGE
 #define SFEM_NO_NEWTON
+#undef SFEM_NO_CONTACT
+#define SFEM_NO_CONTACT
 #endif
 #if defined(SFEM_ENABLE_MESHER) && defined(SFEM_NO_MESHER)
 #error "softfem.h: SFEM_ENABLE_MESHER and SFEM_NO_MESHER are both defined: define only one of them"
@@ -538,8 +566,8 @@ SFEM_DEF sfem_status sfem_mesh_near(const sfem_mesh *mesh, const sfem_patch *pat
  *                            gmsh:physical, gmsh:geometrical, CellEntityIds, material or MaterialId, if any
  *   Medit (.mesh, .meshb)    ASCII and binary in either order of bytes, format versions 1 to 4,
  *                            dimension 3; region is the reference of the tet; keywords in either
- *                            case, Vertices before Tetrahedra, all others passed over, End may be
- *                            missing
+ *                            case, Vertices before Tetrahedra, which may be several sections, all
+ *                            others passed over, End may be missing
  *   Abaqus (.inp)            one part, without a moved instance: *NODE; *ELEMENT of C3D4 and its kin; *NSET, *ELSET,
  *                            also GENERATE; *SOLID SECTION, *MATERIAL with an isotropic *ELASTIC and *DENSITY.
  *                            Region is the number of the last *SOLID SECTION with the tet, from 0 (-1 without one);
@@ -668,7 +696,8 @@ SFEM_DEF sfem_status sfem_mesh_read_sets(const char *path, const sfem_mesh_read_
  * written to the end (the disk is full), and what is there of it then is useless. SFEM_BAD_MESH for
  * negative counts, before anything is opened. */
 
-/* Gmsh 4.1 ASCII, regions as entity numbers: sfem_mesh_read gives the same mesh again. */
+/* Gmsh 4.1 ASCII, each region a volume of its number: sfem_mesh_read gives the same mesh again. Scratch from the mesh's
+ * allocator: SFEM_OUT_OF_MEMORY. */
 SFEM_DEF sfem_status sfem_mesh_write_msh(const char *path, const sfem_mesh *mesh, sfem_error *err);
 
 /* Values at nodes or in tets, to be written next to the mesh. */
@@ -691,7 +720,8 @@ SFEM_DEF sfem_status sfem_mesh_write_pvd(const char *path, const char *const *fi
                                     const sfem_real *times, sfem_int count, sfem_error *err);
 
 /* Wavefront OBJ of a surface at positions x (NULL = rest): only the nodes on it, in mesh order.
- * surface NULL = the mesh's own. Scratch from the mesh's allocator: SFEM_OUT_OF_MEMORY. */
+ * surface NULL = the mesh's own. Scratch from the mesh's allocator: SFEM_OUT_OF_MEMORY. SFEM_BAD_MESH also for a
+ * triangle that names a node that is not there. */
 SFEM_DEF sfem_status sfem_mesh_write_obj(const char *path, const sfem_mesh *mesh,
                                     const sfem_surface *surface, const sfem_real *x,
                                     sfem_error *err);
@@ -1096,14 +1126,30 @@ enum { SFEM_AXIS_X = 1, SFEM_AXIS_Y = 2, SFEM_AXIS_Z = 4, SFEM_AXIS_ALL = 7 };
 
 typedef enum sfem_mass { SFEM_MASS_LUMPED, SFEM_MASS_CONSISTENT } sfem_mass;
 
+/* How tets are put together.
+ *   SFEM_TET_LINEAR  each tet has its own deformation gradient. They lock: too stiff in bending, and the more so as nu
+ *                    nears 0.5
+ *   SFEM_TET_SMOOTH  shear is that of gradients averaged at the nodes, volume that of patches of about four tets, and
+ *                    a part of the difference from the tets' own gradients keeps modes without energy away (>>smooth).
+ *                    For any nu from 0 on; not with SFEM_STVK. All materials of a model have the same tets; averages
+ *                    do not cross materials that differ in modulus, nu or law. K couples nodes two edges apart;
+ *                    factors are made of K0, an upper bound of K on fewer blocks, and solutions with K itself by
+ *                    iteration. A linear body's step of (p,q,r) is one solve with K0: unconditionally stable, with
+ *                    twice the error in time of K itself, which SFEM_NEWMARK takes. In steps of (p,q,r) of laws that
+ *                    rotate nu counts as 0.48 at most (sfem_body_info).
+ *                    Not with damage or KR-alpha. Creation takes about 4 us a tet, the structures 250 bytes a tet
+ *                    (measured) */
+typedef enum sfem_tet { SFEM_TET_LINEAR, SFEM_TET_SMOOTH } sfem_tet;
+
 /* An isotropic material. The damping matrix of a tet is alpha M_e + beta K_e (Rayleigh). */
 typedef struct sfem_material {
     sfem_real young;   /* Young's modulus, Pa, > 0 */
-    sfem_real poisson; /* Poisson's ratio, -1 < nu < 0.5; linear tets lock as nu nears 0.5 */
+    sfem_real poisson; /* Poisson's ratio, -1 < nu < 0.5; linear tets lock as nu nears 0.5, see sfem_tet */
     sfem_real density; /* kg/m^3, > 0 */
     sfem_real mass_damping;      /* alpha, 1/s, >= 0 */
     sfem_real stiffness_damping; /* beta, s, >= 0 */
     sfem_law law;      /* >>api-element; K, M, D are the same for all */
+    sfem_tet tet;
 } sfem_material;
 
 SFEM_DEF sfem_material sfem_default_material(void); /* 1e6 Pa, 0.3, 1000 kg/m^3, undamped, corotational */
@@ -1126,7 +1172,7 @@ typedef struct sfem_model_def {
 
 SFEM_DEF sfem_model_def sfem_default_model_def(void);
 
-/* Builds a model of linear tetrahedra, K_e = V B^T C B.
+/* Builds a model of linear tetrahedra, K_e = V B^T C B, or smooth ones (sfem_tet).
  *   errors  SFEM_BAD_MESH (empty, index out of range, flat or left-handed tet), SFEM_NOT_FINITE,
  *           SFEM_BAD_ARGUMENT (material, region, damping pattern), SFEM_OUT_OF_MEMORY,
  *           SFEM_TOO_LARGE; the text names the tet or node
@@ -1136,7 +1182,7 @@ SFEM_DEF sfem_status sfem_model_create(const sfem_model_def *def, sfem_model **o
 SFEM_DEF void sfem_model_free(sfem_model *model); /* NULL allowed; freed with the last body */
 
 SFEM_DEF const sfem_mesh *sfem_model_mesh(const sfem_model *model);
-SFEM_DEF const sfem_matrix *sfem_model_stiffness(const sfem_model *model); /* K, N/m */
+SFEM_DEF const sfem_matrix *sfem_model_stiffness(const sfem_model *model); /* K, N/m; of smooth tets K0 >= K */
 SFEM_DEF const sfem_real *sfem_model_node_mass(const sfem_model *model);   /* [nodes] row sums of M, kg */
 SFEM_DEF const sfem_real *sfem_model_tet_volume(const sfem_model *model);  /* [tets] m^3 */
 SFEM_DEF sfem_real sfem_model_total_mass(const sfem_model *model);         /* kg */
@@ -1150,10 +1196,27 @@ SFEM_DEF sfem_real sfem_model_total_mass(const sfem_model *model);         /* kg
 SFEM_DEF int sfem_model_advice(const sfem_model *model, sfem_real h, char *text, size_t size);
 
 /* out = k K + m M + d D, a new matrix on K's pattern; free it with sfem_matrix_free. (k,m,d) = (0,1,0) gives M, (0,0,1)
- * D, (p h^2, r, q h/2) the matrix that (p,q,r) factors. */
+ * D, (p h^2, r, q h/2) the matrix that (p,q,r) factors. Of smooth tets K is K0 here, in D too. */
 SFEM_DEF sfem_status sfem_model_combine(const sfem_model *model, sfem_real k, sfem_real m, sfem_real d,
                                         const sfem_allocator *allocator, sfem_matrix *out,
                                         sfem_error *err);
+
+/* K itself, of smooth tets too, a new matrix; free it with sfem_matrix_free. Of smooth tets it has 2 to 5 times as many
+ * blocks as K0. */
+SFEM_DEF sfem_status sfem_model_assemble_stiffness(const sfem_model *model, const sfem_allocator *allocator,
+                                                   sfem_matrix *out, sfem_error *err);
+
+#ifndef SFEM_NO_SMOOTH
+/* Of smooth tets; all zero for linear ones. least K0 <= K <= K0 in the sense of energies. */
+typedef struct sfem_smooth_info {
+    sfem_int stars, patches;
+    sfem_real least; /* the least weight of the stabilisation: 0.12 but where a star's shape allows less */
+    size_t bytes;    /* what the model holds for them */
+} sfem_smooth_info;
+SFEM_DEF sfem_smooth_info sfem_model_smooth_info(const sfem_model *model);
+/* [tets] the patch of each tet, from 0; NULL for linear tets. */
+SFEM_DEF const sfem_int *sfem_model_smooth_patch(const sfem_model *model);
+#endif
 
 /* y = K x, M x or D x; arrays [nodes][3], y must not be x. */
 SFEM_DEF void sfem_model_multiply_stiffness(const sfem_model *model, const sfem_real *x, sfem_real *y,
@@ -1169,7 +1232,8 @@ SFEM_DEF void sfem_model_multiply_damping(const sfem_model *model, const sfem_re
  *   rotation  [tets][3][3] nearest rotation of each F, I for linear tets; or NULL
  *   inverted  how many tets have det F <= 0; or NULL
  *   work      [sfem_model_work_size] reals
- *   cost      a tet, with AVX2: linear 12 ns, StVK 15, neo-Hookean 20, corotational 24, mixed 19;
+ *   cost      a tet, with AVX2: linear 12 ns, StVK 15, neo-Hookean 20, corotational 24, mixed 19; smooth tets 35, 37
+ *             and 40;
  *             0.7 us for one whose R is almost undetermined. A u that is not finite gives an
  *             energy that is not finite.
  * Allocates nothing. The bits are the same for any number of threads, but differ between vector widths
@@ -1181,7 +1245,9 @@ SFEM_DEF sfem_real sfem_model_forces(const sfem_model *model, const sfem_real *u
                                      const sfem_exec *exec);
 
 /* The derivative of that force, N/m. It overwrites the values of a matrix on K's pattern, such as sfem_model_combine
- * makes. 0.2 (linear) to 0.8 us a tet. Allocates nothing. The bits are the same for any number of threads. */
+ * makes. 0.2 (linear) to 0.8 us a tet. Allocates nothing. The bits are the same for any number of threads.
+ * Smooth tets: the derivative itself on the pattern of sfem_model_assemble_stiffness; on that of sfem_model_combine K0
+ * at u, each tet's shear and each patch's volume in its own rotation. */
 SFEM_DEF void sfem_model_tangent(const sfem_model *model, const sfem_real *u, sfem_tangent kind,
                                  sfem_matrix *tangent, const sfem_exec *exec);
 
@@ -1191,6 +1257,14 @@ SFEM_DEF void sfem_model_tangent(const sfem_model *model, const sfem_real *u, sf
  * NULL. Costs one sfem_law_stress a tet; allocates nothing. */
 SFEM_DEF void sfem_model_stress(const sfem_model *model, const sfem_real *u, sfem_real *stress,
                                 sfem_real *von_mises);
+#ifndef SFEM_NO_SMOOTH
+/* Of smooth tets the stress of a tet is the mean of the shear stresses of its nodes' averaged gradients and the volume
+ * part of its patch. This gives it at the nodes [nodes][6], where surfaces and bending are the better for it: the
+ * shear stress there and the mean volume part of the patches around. pressure [patches] (sfem_model_smooth_patch), Pa,
+ * positive in compression: -tr(stress)/3 of a patch's mean gradient. Either may be NULL. Allocates nothing. */
+SFEM_DEF void sfem_model_smooth_stress(const sfem_model *model, const sfem_real *u, sfem_real *node_stress,
+                                       sfem_real *pressure);
+#endif
 /* 1/2 u.K u, J, summed from the tets' own strains. */
 SFEM_DEF sfem_real sfem_model_elastic_energy(const sfem_model *model, const sfem_real *u);
 
@@ -1484,6 +1558,9 @@ typedef struct sfem_body_def {
     sfem_real gui_lambda;     /* of Gui's method, > 0; 4. Above 4 the step is limited */
     sfem_real hht_alpha;      /* of HHT, 0 (trapezoidal) to 1/3; 0.1 */
     sfem_newton_def newton;
+    int exact_statics;        /* linear bodies of smooth tets: 0, the default: a static solution is iterated, by
+                               * conjugate gradients with the factor of K0, to newton.tolerance; sfem_body_newton tells
+                               * how it went. 1: K itself is factorised, 8 to 20 times the operations */
     sfem_damping_force damping_force; /* all zero: none */
     sfem_start start;
     sfem_frame frame;         /* (p,q,r) of nonlinear laws */
@@ -1491,11 +1568,12 @@ typedef struct sfem_body_def {
                                * comes, even if it makes energy */
     const struct sfem_damage_def *damage; /* the body can break (>>api-damage); (p,q,r) and central differences, lumped mass.
                                * NULL, the default: it cannot, at no cost. Read by create only */
-    sfem_real accuracy;       /* (p,q,r) of nonlinear laws, in (0, 1]. A step is corrected until one more correction is
-                               * expected to gain less than this part of the energy in motion (the largest recent
-                               * kinetic energy). 1e-6, the default: within a factor of two of the errors of full
-                               * Newton. 1e-4: a third fewer solves. 1: one solve a step, no corrections. 1e-20: to
-                               * rounding (velocities are off by the square root, since it is an energy) */
+    sfem_real accuracy;       /* (p,q,r) of nonlinear laws, in (0, 1]. A step is corrected until one
+                               * more correction is expected to gain less than this part of the energy in motion (the
+                               * largest recent kinetic energy). 1e-6, the default: within a factor of two of the
+                               * errors of full Newton. 1e-4: a third fewer solves. 1: one solve a step, no
+                               * corrections. 1e-20: to rounding (velocities are off by the square root, since it is an
+                               * energy) */
     sfem_real dissipation;    /* of corrected steps, 0 to 1/3: HHT's alpha. 0.1, the default, damps what a step does not
                                * resolve. 0: Newmark(1/4, 1/2), conservative */
     sfem_real refactorise;    /* (p,q,r) of nonlinear laws and of damage: the work a step on a factor of the present
@@ -1659,7 +1737,8 @@ typedef struct sfem_energy {
     sfem_real total;                  /* their sum */
     sfem_real conserved; /* J, what the integrator conserves without damping under constant load: exactly for linear
                           * bodies, nearly for others. Motion of the centres of free pieces does not count.
-                          *   (p,q,r), linear     1/2 w.(r M + p h^2 K) w + (E + E-)/2 - (u-u-).(f-f-)/4 - F.(u+u-)/2
+                          *   (p,q,r), linear     1/2 w.(r M + p h^2 K) w + (E + E-)/2 - (u-u-).(f-f-)/4 - F.(u+u-)/2,
+                          *                       with p h^2 K0 of smooth tets
                           *   (p,q,r), nonlinear  1/2 w.r M w + (E + E-)/2 + (p - 1/2)(u-u-).(f-f-)/2 - F.(u+u-)/2;
                           *                       after a rejected step 1/2 w.r M w + E - F.u
                           *   Newmark(beta, 1/2)  total + (beta - 1/4) h^2/2 a.M a */
@@ -1682,6 +1761,8 @@ typedef struct sfem_body_info {
     int64_t solves;           /* with the factor, of (p,q,r) bodies that rotate */
     int64_t evaluations;      /* of their forces */
     sfem_int corrections;     /* in the last step */
+    sfem_real poisson;        /* the largest Poisson's ratio that its steps take: of smooth tets whose law rotates at
+                               * most 0.48, except in Newton's methods, statics and modes, which take any */
 } sfem_body_info;
 SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *body);
 
@@ -1846,6 +1927,160 @@ SFEM_DEF void sfem_fragments_free(sfem_fragments *fragments); /* NULL allowed */
  * belong to them, moved and rotated with the intact edges of these. Call it between steps; allocates nothing. */
 SFEM_DEF void sfem_body_fragment_positions(sfem_body *body, const sfem_fragments *fragments, sfem_real *x);
 #endif /* SFEM_NO_DAMAGE */
+
+#ifndef SFEM_NO_CONTACT
+/* ============================================================================================
+ * >>api-contact   bodies against obstacles, with friction
+ * ============================================================================================ */
+
+/* CONTACT of bodies with obstacles: rigid things that the caller moves. A sfem_contact holds both; one call steps all its
+ * bodies together. With l the impulses of a step, A the matrix of the step, J the rows of the contacts and gap(x') their
+ * distances at the end of the step:
+ *     w' = w_free + A^-1 J^T l      0 <= l_n,  gap(x') >= 0,  l_n gap(x') = 0      |l_t| <= mu l_n, against J_t w'
+ * [Signorini 1933, Coulomb; at the level of positions, which dissipates: Moreau 1988]. J A^-1 J^T is put together of columns
+ * of the rest pose's A^-1, rotated by the node frames and kept; the cones are solved by block Gauss-Seidel, again after
+ * every correction of the step (SFEM_PQR corrects its steps), with true solves in between, so that what counts is the
+ * true A. The work of the impulses enters the energy budget of the step; where it is rejected, the step in its place has
+ * contact, too.
+ *   Bodies   SFEM_PQR and what is translated to it (SFEM_CENTRAL, SFEM_GUI, SFEM_CHANG), of any law; pinned, held by
+ *            handles, damaged: pieces collide with obstacles, not yet with each other. Each needs a workspace of its own
+ *   Steps    by sfem_contact_step alone; sfem_body_step of a body moves it as if there were no obstacles. Forces, pins,
+ *            handles and states are the caller's as before, between two steps
+ *   Swept    a node that passes an obstacle within a step is found on its way
+ *   Faces    so are obstacles that meet a face of the body between its nodes: small ones, corners, edges, peaks
+ *   Threads  as the bodies have them; results have the same bits for any number */
+typedef struct sfem_contact sfem_contact;
+
+typedef struct sfem_contact_def {
+    uint32_t cookie; /* set by sfem_default_contact_def; a definition made otherwise is refused */
+    sfem_int sweeps;           /* of Gauss-Seidel for a system of cones, at most, >= 1; 30 */
+    sfem_real tolerance;       /* they end where impulses change by less than this part, >= 0; 1e-6 */
+    sfem_real push_share;      /* of a penetration that is taken back in a step, 0 to 1; 0.2 */
+    sfem_real push_speed;      /* m/s, at most, >= 0; 0.5. It is work done on the body */
+    sfem_int max_contacts;     /* of all bodies together, >= 1; 4096 */
+    size_t cache_bytes;        /* for columns of A^-1, 36 bytes for each pair of nodes; 256 MB. Where they do not suffice,
+                                * those that have not been of use for longest go; those of the step under way stay */
+    sfem_allocator allocator;
+} sfem_contact_def;
+SFEM_DEF sfem_contact_def sfem_default_contact_def(void);
+
+/* An object without bodies and obstacles. def NULL: the default. Free it before its bodies.
+ *   errors  SFEM_BAD_ARGUMENT, SFEM_OUT_OF_MEMORY */
+SFEM_DEF sfem_status sfem_contact_create(const sfem_contact_def *def, sfem_contact **out, sfem_error *err);
+SFEM_DEF void sfem_contact_free(sfem_contact *contact); /* NULL allowed */
+
+/* What a surface is like, and what it touches: a pair collides where the groups of each have a bit of the other's
+ * `collides`. Friction of a pair is the root of the product, restitution the larger one, compliance the sum. */
+typedef struct sfem_contact_surface {
+    uint32_t cookie; /* set by sfem_default_contact_surface; a definition made otherwise is refused */
+    sfem_real friction;    /* mu, >= 0; 0.5 */
+    sfem_real restitution; /* 0 to 1; 0: what comes back is what the body itself stores. Newton's law for each node,
+                            * where it arrives faster than gravity makes it within two steps */
+    sfem_real compliance;  /* m/N of one contact, >= 0; 0: hard. Penetration is compliance times force */
+    uint32_t groups, collides; /* 1; all */
+} sfem_contact_surface;
+SFEM_DEF sfem_contact_surface sfem_default_contact_surface(void);
+
+/* Adds a body, which has to outlive its membership; *id is its number here. regions: tets of the regions whose bit is set
+ * take part, those of numbers outside 0 to 31 as bit 0; ~0u: all. A mesh without regions has region 0. surface and id may
+ * be NULL.
+ *   errors  SFEM_BAD_ARGUMENT (integrator, shared workspace, surface, a body that was added before), SFEM_OUT_OF_MEMORY
+ *   cost    O(tets), and memory for it */
+SFEM_DEF sfem_status sfem_contact_add_body(sfem_contact *contact, sfem_body *body, const sfem_contact_surface *surface,
+                                           uint32_t regions, sfem_int *id, sfem_error *err);
+/* The body goes on without contact; its number may be given again. */
+SFEM_DEF void sfem_contact_remove_body(sfem_contact *contact, sfem_int id);
+
+/* OBSTACLES. In its own axes: */
+typedef enum sfem_obstacle_kind {
+    SFEM_OBSTACLE_PLANE,    /* all of z < 0 */
+    SFEM_OBSTACLE_SPHERE,   /* of radius size[0] about the origin */
+    SFEM_OBSTACLE_CAPSULE,  /* within size[0] of the z axis from -size[1] to size[1] */
+    SFEM_OBSTACLE_BOX,      /* |x|, |y|, |z| up to size[0], size[1], size[2] */
+    SFEM_OBSTACLE_CYLINDER, /* about the z axis: radius size[0], z from -size[1] to size[1] */
+    SFEM_OBSTACLE_DISTANCE, /* where distance(user, x, gradient) < 0 */
+    SFEM_OBSTACLE_HEIGHTS,  /* below z = heights[i cells[1] + j] at x = i size[0], y = j size[1], flat triangles between
+                             * (0,0) (1,0) (1,1) and (0,0) (1,1) (0,1); nothing beyond its rim */
+    SFEM_OBSTACLE_SURFACE   /* inside a closed surface of triangles, counterclockwise from outside; of an open one behind
+                             * it, as far away as size[0] */
+} sfem_obstacle_kind;
+
+typedef struct sfem_obstacle_def {
+    uint32_t cookie; /* set by sfem_default_obstacle_def and sfem_obstacle_plane; a definition made otherwise is refused */
+    sfem_obstacle_kind kind;
+    sfem_real size[3];
+    /* A distance that changes by no more than 1 for 1, negative inside; gradient [3], of length 1, points outwards. It is
+     * called in sfem_contact_step, from the thread that calls that */
+    sfem_real (*distance)(void *user, const sfem_real x[3], sfem_real gradient[3]);
+    void *user;
+    const sfem_real *heights; /* [cells[0]][cells[1]], m; copied, as is */
+    sfem_int cells[2];        /* >= 2 */
+    const sfem_surface *surface; /* with x; copied */
+    sfem_real position[3], rotation[9]; /* of its axes, the latter row by row: x = rotation y + position */
+    sfem_contact_surface contact;
+} sfem_obstacle_def;
+SFEM_DEF sfem_obstacle_def sfem_default_obstacle_def(void); /* a plane at z = 0 */
+/* The half space below a plane through `point`, m, with a normal of any length. */
+SFEM_DEF sfem_obstacle_def sfem_obstacle_plane(const sfem_real normal[3], const sfem_real point[3]);
+
+/* Adds one; id may be NULL. Numbers of removed ones are given again. Bodies that overlap it are pushed out at push_speed.
+ *   errors  SFEM_BAD_ARGUMENT (size, friction, rotation, ..), SFEM_NOT_FINITE, SFEM_BAD_MESH, SFEM_OUT_OF_MEMORY */
+SFEM_DEF sfem_status sfem_contact_add_obstacle(sfem_contact *contact, const sfem_obstacle_def *def, sfem_int *id,
+                                               sfem_error *err);
+/* What lay on it wakes. */
+SFEM_DEF void sfem_contact_remove_obstacle(sfem_contact *contact, sfem_int id);
+
+/* Where it is at the start of the next step (rotation NULL: as it is), and how it moves in that and all further ones, by
+ * its velocity at `position` and its angular velocity (NULL: 0): after each step it is where that takes it. A pose
+ * other than that is a leap: the obstacle is there then, and pushes out what it has landed on, but does not sweep.
+ *   errors  SFEM_NOT_FINITE, SFEM_BAD_ARGUMENT (no such obstacle; no rotation): it is as it was */
+SFEM_DEF sfem_status sfem_contact_move_obstacle(sfem_contact *contact, sfem_int id, const sfem_real position[3],
+                                                const sfem_real *rotation, const sfem_real *velocity,
+                                                const sfem_real *angular, sfem_error *err);
+/* Where it is now: m, and its axes row by row. */
+SFEM_DEF void sfem_contact_obstacle_pose(const sfem_contact *contact, sfem_int id, sfem_real position[3],
+                                         sfem_real rotation[9]);
+
+/* One step of h seconds of all bodies. On failure all are as they were.
+ *   errors  those of sfem_body_step; SFEM_FULL: more than max_contacts; SFEM_OUT_OF_MEMORY. Steps allocate where there
+ *           are more contacts than ever before, and for columns of nodes that have not touched before
+ *   cost    of a body in contact a step as without, two solves for each correction in place of one, three solves for a
+ *           node that touches for the first time, and sweeps: O(nodes in contact squared) each */
+SFEM_DEF sfem_status sfem_contact_step(sfem_contact *contact, sfem_real h, sfem_error *err);
+
+typedef struct sfem_contact_point {
+    sfem_int body, obstacle; /* their numbers here */
+    sfem_int node[3];        /* of the body, -1 where there are fewer; the point lies between them */
+    sfem_real weight[3];
+    sfem_real position[3];   /* m, on the body, at the end of the step */
+    sfem_real normal[3];     /* from the obstacle to the body */
+    sfem_real gap;           /* m, < 0: penetration */
+    sfem_real impulse[3];    /* N s, on the body, over the step; */
+    sfem_real force[3];      /* N, the same per time */
+} sfem_contact_point;
+/* Those of the last step with an impulse, by body and node; good until the next call to the object. */
+SFEM_DEF const sfem_contact_point *sfem_contact_points(const sfem_contact *contact, sfem_int *count);
+
+/* What all bodies exerted on an obstacle in the last step: force, N, and torque about its position, N m. */
+SFEM_DEF void sfem_contact_obstacle_force(const sfem_contact *contact, sfem_int id, sfem_real force[3],
+                                          sfem_real torque[3]);
+
+typedef struct sfem_contact_info {
+    sfem_int contacts;       /* with an impulse, in the last step, as all of these: */
+    sfem_int sweeps;         /* of Gauss-Seidel, all systems and bodies together */
+    sfem_int systems;        /* of cones that were solved */
+    sfem_int pushed;         /* contacts that were pushed out of a penetration */
+    sfem_int rejected;       /* steps of bodies */
+    sfem_real penetration;   /* m, the deepest at the end of the step */
+    sfem_real work;          /* J, of the contacts on the bodies since the object was made: what friction and impact take,
+                              * and what moving obstacles and pushing out give, */
+    sfem_real moved;         /* which is this */
+    sfem_int columns;        /* nodes whose columns are kept; three right sides each */
+    int64_t columns_made;
+    size_t bytes;            /* of all that this object holds */
+} sfem_contact_info;
+SFEM_DEF sfem_contact_info sfem_contact_get_info(const sfem_contact *contact);
+#endif /* SFEM_NO_CONTACT */
 
 #endif /* SFEM_NO_BODY */
 
@@ -2621,7 +2856,8 @@ static sfem_status sfemi_fail_at(sfem_error *err, sfem_status status, sfem_int n
  * set, is told apart from one with odd values. */
 enum {
     SFEMI_COOKIE_MESHER = 0x5fe30, SFEMI_COOKIE_LDL, SFEMI_COOKIE_CG, SFEMI_COOKIE_MODEL, SFEMI_COOKIE_DAMAGE,
-    SFEMI_COOKIE_BODY, SFEMI_COOKIE_MODES, SFEMI_COOKIE_REDUCED, SFEMI_COOKIE_MODAL, SFEMI_COOKIE_LINK, SFEMI_COOKIE_EMBED
+    SFEMI_COOKIE_BODY, SFEMI_COOKIE_MODES, SFEMI_COOKIE_REDUCED, SFEMI_COOKIE_MODAL, SFEMI_COOKIE_LINK, SFEMI_COOKIE_EMBED,
+    SFEMI_COOKIE_CONTACT, SFEMI_COOKIE_SURFACE, SFEMI_COOKIE_OBSTACLE
 };
 
 static SFEMI_UNUSED int sfemi_made_by_default(uint32_t cookie, uint32_t kind, const char *function, sfem_error *err)
@@ -6804,6 +7040,8 @@ static sfem_status sfemi_gmsh_read(sfemi_gmsh *g)
         if (*w.p != '$') return sfemi_scan_expected(s, "a section like $Nodes", w);
         if (sfemi_word_is(w, "$MeshFormat"))
             status = sfemi_gmsh_format(g, start);
+        else if (!g->has_format && sfemi_word_is(w, "$NOD"))
+            return sfemi_scan_fail(s, SFEM_FORMAT, "Gmsh 1: only 2.0 to 2.2 and 4.1 are read");
         else if (!g->has_format)
             return sfemi_scan_expected(s, "$MeshFormat", w);
         else if (sfemi_word_is(w, "$Entities") || sfemi_word_is(w, "$PartitionedEntities"))
@@ -6812,6 +7050,8 @@ static sfem_status sfemi_gmsh_read(sfemi_gmsh *g)
             status = sfemi_gmsh_names(g);
         else if (sfemi_word_is(w, "$Nodes"))
             status = sfemi_gmsh_nodes(g);
+        else if (sfemi_word_is(w, "$ParametricNodes"))
+            return sfemi_scan_fail(s, SFEM_FORMAT, "$ParametricNodes: write the file without Mesh.SaveParametric, or as 4.1");
         else if (sfemi_word_is(w, "$Elements"))
             status = sfemi_gmsh_elements(g);
         else
@@ -6845,12 +7085,18 @@ typedef struct sfemi_vtk_shape {
 
 static sfemi_vtk_shape sfemi_vtk_shape_of(int type)
 {
-    static const sfemi_vtk_shape table[35] = {
+    static const sfemi_vtk_shape table[82] = {
         {0, 0, 0}, {1, 0, 0}, {0, 0, 0}, {2, 1, 0}, {0, 1, 0},   {3, 2, 3},  {0, 2, 0},  {0, 2, 255}, {4, 2, 0},
         {4, 2, 4}, {4, 3, 0}, {8, 3, 0}, {8, 3, 0}, {6, 3, 0},   {5, 3, 0},  {0, 3, 0},  {0, 3, 0},   {0, 0, 0},
         {0, 0, 0}, {0, 0, 0}, {0, 0, 0}, {3, 1, 0}, {6, 2, 3},   {8, 2, 4},  {10, 3, 0}, {0, 3, 0},   {0, 3, 0},
-        {0, 3, 0}, {9, 2, 4}, {0, 3, 0}, {0, 2, 4}, {0, 3, 0},   {0, 3, 0},  {0, 3, 0},  {7, 2, 3}};
-    return table[type < 35 ? type : 0];
+        {0, 3, 0}, {9, 2, 4}, {0, 3, 0}, {0, 2, 4}, {0, 3, 0},   {0, 3, 0},  {0, 3, 0},  {7, 2, 3},
+        {0, 1, 0}, {0, 2, 0}, {0, 3, 0}, {0, 0, 0}, {0, 0, 0},   {0, 0, 0},  {0, 3, 0},  {0, 3, 0},   {0, 0, 0}, /* 35.. */
+        {0, 0, 0}, {0, 0, 0}, {0, 0, 0}, {0, 0, 0}, {0, 0, 0},   {0, 0, 0},  {0, 0, 0},  {0, 1, 0},   {0, 2, 0},
+        {0, 2, 0}, {0, 2, 0}, {0, 3, 0}, {0, 3, 0}, {0, 0, 0},   {0, 0, 0},  {0, 0, 0},  {0, 1, 0},   {0, 2, 3}, /* 53.. */
+        {0, 2, 4}, {0, 2, 0}, {0, 3, 0}, {0, 3, 0}, {0, 3, 0},   {0, 3, 0},  {0, 1, 0},  {0, 2, 3},   {0, 2, 4},
+        {0, 3, 0}, {0, 3, 0}, {0, 3, 0}, {0, 3, 0}, {0, 1, 0},   {0, 2, 3},  {0, 2, 4},  {0, 3, 0},   {0, 3, 0}, /* 71.. */
+        {0, 3, 0}, {0, 3, 0}};
+    return table[type < 82 ? type : 0];
 }
 
 /* May the array of that name tell the regions of cells? */
@@ -6952,8 +7198,9 @@ static sfem_status sfemi_vtk_other(sfemi_vtk *r, int type, int64_t nodes, int64_
     sfem_status status;
     int64_t v;
     SFEMI_TRY(sfemi_extra_in(r->x, shape.dimension, region));
-    if (type != 24) sfemi_extra_begin(r->x, shape.dimension, shape.corners == 255 ? nodes : shape.corners);
-    if (!r->x->ins && !r->x->faces) return sfemi_typed_skip(s, r->cell_type, nodes, "another number of a cell");
+    sfemi_extra_begin(r->x, type == 24 ? -1 : shape.dimension, shape.corners == 255 ? nodes : shape.corners);
+    if (!r->x->ins && !(r->x->faces && r->x->corners)) /* the numbers of a polyhedron are not nodes only */
+        return sfemi_typed_skip(s, r->cell_type, nodes, "another number of a cell");
     for (; nodes > 0; --nodes) {
         SFEMI_TRY(sfemi_typed_integer(s, r->cell_type, INT64_MIN, INT64_MAX, "a node of a cell", &v));
         if (v < 0 || v >= r->m.nodes)
@@ -7152,6 +7399,47 @@ done:
     return status;
 }
 
+/* The type of an array, which may be one of bits or strings, too. */
+static sfem_status sfemi_vtk_array_type(sfemi_vtk *r, const sfemi_type **type)
+{
+    static const sfemi_type more[2] = {{"bit", 1, 'b'}, {"string", 1, 's'}};
+    const sfemi_word w = sfemi_scan_peek(&r->s);
+    int k;
+    for (k = 0; k < 2; ++k)
+        if (sfemi_word_is(w, more[k].name)) {
+            *type = more + k;
+            r->s.p += w.n;
+            return SFEM_OK;
+        }
+    return sfemi_vtk_type(r, "the type of an array", type);
+}
+
+/* Goes past so many strings: in text lines, in binary files each behind its length, of which the first two bits tell the
+ * bytes: 8, 4, 2, 1. */
+static sfem_status sfemi_vtk_strings(sfemi_scan *s, int64_t count)
+{
+    sfem_status status = SFEM_OK;
+    uint64_t bytes = 0, byte = 0;
+    int more;
+    if (!s->order) sfemi_scan_skip_line(s);
+    for (; count > 0; --count) {
+        if (s->p == s->end) return sfemi_scan_fail(s, SFEM_FORMAT, "expected another string, but the data ends");
+        if (!s->order) {
+            sfemi_scan_skip_line(s);
+            continue;
+        }
+        SFEMI_TRY(sfemi_scan_bits(s, 1, "the length of a string", &bytes));
+        more = (8 >> (bytes >> 6)) - 1;
+        for (bytes &= 63; more > 0; --more) {
+            SFEMI_TRY(sfemi_scan_bits(s, 1, "the length of a string", &byte));
+            bytes = bytes << 8 | byte;
+        }
+        SFEMI_TRY(sfemi_scan_skip_bytes(s, bytes, "a string"));
+    }
+done:
+    return status;
+}
+
 /* An array of values, of which only the regions of `cells` cells are kept; 0: the values are no cells'. */
 static sfem_status sfemi_vtk_array(sfemi_vtk *r, sfemi_word name, const sfemi_type *type, int64_t components,
                                    int64_t tuples, sfem_int cells)
@@ -7163,7 +7451,12 @@ static sfem_status sfemi_vtk_array(sfemi_vtk *r, sfemi_word name, const sfemi_ty
         r->region_scan = r->s;
         r->region_type = type;
     }
-    SFEMI_TRY(sfemi_typed_skip(&r->s, type, components * tuples, "another value of an array"));
+    if (type->kind == 's')
+        status = sfemi_vtk_strings(&r->s, components * tuples);
+    else if (type->kind == 'b' && r->s.order)
+        status = sfemi_scan_skip_bytes(&r->s, (uint64_t)(components * tuples + 7) / 8, "another bit of an array");
+    else
+        status = sfemi_typed_skip(&r->s, type, components * tuples, "another value of an array");
 done:
     r->s.order = 0;
     return status;
@@ -7193,7 +7486,7 @@ static sfem_status sfemi_vtk_field(sfemi_vtk *r, sfem_int cells)
         if (!name.n) return sfemi_scan_expected(s, "the name of an array", name);
         SFEMI_TRY(sfemi_scan_integer(s, 0, INT32_MAX, "a count of components", &components));
         SFEMI_TRY(sfemi_scan_integer(s, 0, INT32_MAX, "a count of tuples", &tuples));
-        SFEMI_TRY(sfemi_vtk_type(r, "the type of an array", &type));
+        SFEMI_TRY(sfemi_vtk_array_type(r, &type));
         SFEMI_TRY(sfemi_vtk_array(r, name, type, components, tuples, cells));
     }
 done:
@@ -7219,7 +7512,7 @@ static sfem_status sfemi_vtk_attribute(sfemi_vtk *r, int64_t components, sfem_in
     const sfemi_word name = sfemi_scan_word(s);
     const sfemi_type *type;
     sfem_status status;
-    SFEMI_TRY(sfemi_vtk_type(r, "the type of an array", &type));
+    SFEMI_TRY(sfemi_vtk_array_type(r, &type));
     if (!components) { /* SCALARS */
         components = 1;
         s->in_row = 1;
@@ -7229,6 +7522,25 @@ static sfem_status sfemi_vtk_attribute(sfemi_vtk *r, int64_t components, sfem_in
         if (sfemi_word_is(sfemi_scan_peek(s), "LOOKUP_TABLE")) SFEMI_TRY(sfemi_scan_skip_words(s, 2, "a table"));
     }
     status = sfemi_vtk_array(r, name, type, components, tuples, cells);
+done:
+    return status;
+}
+
+/* TEXTURE_COORDINATES name components type, COLOR_SCALARS name components, LOOKUP_TABLE name entries; values, which are
+ * bytes of the last two in binary files. None of them tells regions. */
+static sfem_status sfemi_vtk_colours(sfemi_vtk *r, sfemi_word keyword, sfem_int tuples)
+{
+    const sfemi_type *type = sfemi_types + 3; /* uchar */
+    const int table = sfemi_word_is(keyword, "LOOKUP_TABLE");
+    sfem_status status;
+    sfemi_word name;
+    int64_t count = 0;
+    SFEMI_TRY(sfemi_scan_skip_words(&r->s, 1, "the name of an array"));
+    SFEMI_TRY(sfemi_scan_integer(&r->s, 0, INT32_MAX, "a count of components", &count));
+    if (sfemi_word_is(keyword, "TEXTURE_COORDINATES")) SFEMI_TRY(sfemi_vtk_array_type(r, &type));
+    name.p = NULL;
+    name.n = 0;
+    status = sfemi_vtk_array(r, name, type, table ? 4 : count, table ? count : tuples, 0);
 done:
     return status;
 }
@@ -7256,6 +7568,9 @@ static void sfemi_vtk_data(sfemi_vtk *r)
             status = sfemi_vtk_field(r, cells);
         else if (sfemi_word_is(w, "METADATA"))
             sfemi_vtk_skip_metadata(s);
+        else if (sfemi_word_is(w, "TEXTURE_COORDINATES") || sfemi_word_is(w, "COLOR_SCALARS") ||
+                 sfemi_word_is(w, "LOOKUP_TABLE"))
+            status = sfemi_vtk_colours(r, w, tuples);
         else {
             for (k = 0; k < sizeof known / sizeof *known && !sfemi_word_is(w, known[k].name);) ++k;
             if (k == sizeof known / sizeof *known) break;
@@ -7276,6 +7591,8 @@ static sfem_status sfemi_vtk_read(sfemi_vtk *r)
     while (status == SFEM_OK && (w = sfemi_scan_word(s)).n) {
         if (sfemi_word_is(w, "DATASET")) {
             w = sfemi_scan_peek(s);
+            if (sfemi_word_is(w, "POLYDATA"))
+                return sfemi_scan_fail(s, SFEM_FORMAT, "expected UNSTRUCTURED_GRID, found 'POLYDATA': write surfaces as .ply");
             if (!sfemi_word_is(w, "UNSTRUCTURED_GRID"))
                 return sfemi_scan_expected(s, "UNSTRUCTURED_GRID", w);
             s->p += w.n;
@@ -7333,8 +7650,9 @@ static sfem_status sfemi_vtu_file(sfemi_vtu *r, const sfemi_tag *t)
     const sfemi_word type = sfemi_xml_attribute(t, "type"), compressor = sfemi_xml_attribute(t, "compressor");
     char text[25];
     if (!sfemi_word_is(type, "UnstructuredGrid"))
-        return sfemi_scan_fail(&r->v.s, SFEM_FORMAT, "a VTK file of %s: only UnstructuredGrid is read",
-                               sfemi_word_text(type, text));
+        return sfemi_scan_fail(&r->v.s, SFEM_FORMAT, "a VTK file of %s: only UnstructuredGrid is read%s",
+                               sfemi_word_text(type, text),
+                               sfemi_word_is(type, "PolyData") ? "; write surfaces as .ply" : "");
     if (compressor.n)
         return sfemi_scan_fail(&r->v.s, SFEM_FORMAT,
                                "compressed data is not read: write it raw (ParaView: Compressor Type None; vtk: "
@@ -7554,7 +7872,7 @@ typedef struct sfemi_medit {
     sfem_mesh m;
     sfemi_extra *x;
     int has_dimension, has_vertices, has_tets;
-    sfem_int triangles;
+    sfem_int triangles, room; /* room: of tets */
 } sfemi_medit;
 
 static sfem_status sfemi_medit_dimension(sfemi_medit *r)
@@ -7593,21 +7911,44 @@ done:
     return status;
 }
 
+/* Room for n tets more; some programs write a section of tets for each part. */
+static sfem_status sfemi_medit_room(sfemi_medit *r, sfem_int n)
+{
+    const sfem_allocator *a = &r->m.allocator;
+    const sfem_int have = r->m.tets;
+    sfem_error *err = r->s.err;
+    sfem_status status = SFEM_OK;
+    sfem_int *tet = NULL, *region = NULL, room;
+    if (n > INT32_MAX - have) return sfemi_scan_fail(&r->s, SFEM_TOO_LARGE, "more than 2^31 - 1 tets");
+    if (r->m.tet && have + n <= r->room) return SFEM_OK;
+    room = r->room > INT32_MAX / 2 || 2 * r->room < have + n ? have + n : 2 * r->room;
+    SFEMI_NEW(sfem_int, tet, a, 4 * (size_t)room);
+    SFEMI_NEW(sfem_int, region, a, room);
+    if (have) memcpy(tet, r->m.tet, 4 * (size_t)have * sizeof *tet);
+    if (have) memcpy(region, r->m.region, (size_t)have * sizeof *region);
+    sfemi_delete(a, r->m.tet);
+    sfemi_delete(a, r->m.region);
+    r->m.tet = tet;
+    r->m.region = region;
+    r->room = room;
+    return SFEM_OK;
+done:
+    sfemi_delete(a, tet);
+    return status;
+}
+
 /* The count; rows of 4 or 10 vertices, numbered from 1, and the reference. */
 static sfem_status sfemi_medit_tets(sfemi_medit *r, int nodes)
 {
     sfemi_scan *s = &r->s;
-    sfem_error *err = s->err;
-    sfem_status status = SFEM_OK;
+    sfem_status status;
     sfem_int n = 0, i;
     int64_t v;
     int k;
-    if (r->has_tets) return sfemi_scan_fail(s, SFEM_FORMAT, "Tetrahedra a second time");
     if (!r->has_vertices) return sfemi_scan_fail(s, SFEM_FORMAT, "Tetrahedra come before Vertices");
     SFEMI_TRY(sfemi_scan_count(s, 10, "the count of tets", &n));
-    SFEMI_NEW(sfem_int, r->m.tet, &r->m.allocator, 4 * (size_t)n);
-    SFEMI_NEW(sfem_int, r->m.region, &r->m.allocator, n);
-    for (i = 0; i < n; ++i) {
+    SFEMI_TRY(sfemi_medit_room(r, n));
+    for (n += r->m.tets, i = r->m.tets; i < n; ++i) {
         for (k = 0; k < nodes; ++k) {
             SFEMI_TRY(sfemi_scan_size(s, INT64_MIN, INT64_MAX, "a vertex of a tet", &v));
             if (v < 1 || v > r->m.nodes) {
@@ -7623,10 +7964,11 @@ static sfem_status sfemi_medit_tets(sfemi_medit *r, int nodes)
         r->m.region[i] = (sfem_int)v;
     }
     if (nodes > 4 && !r->x->def.linear)
-        r->x->tets10 = n;
-    else
+        r->x->tets10 += n - r->m.tets;
+    else {
+        if (nodes > 4) r->x->info.linear += n - r->m.tets;
         r->m.tets = n;
-    if (nodes > 4) r->x->info.linear = n;
+    }
     r->has_tets = 1;
 done:
     return status;
@@ -7804,7 +8146,7 @@ done:
  * each node and links back up where a name ends the search [Morrison 1968, PATRICIA]: it takes no more steps
  * than the name has bits, whatever the names. */
 typedef struct sfemi_rows_name {
-    sfemi_word name;
+    sfemi_word name, text; /* how it is told apart, and how it stands in the file */
     sfem_int material;    /* its number, or -1: it is a set */
     sfem_int set[2];      /* of nodes, of tets, or -1 */
     size_t head;          /* Abaqus: 1 + the last of its members, a list by next[] */
@@ -7910,6 +8252,7 @@ static sfem_status sfemi_rows_open(sfemi_rows *r, sfemi_word w)
     inner = sfemi_scan_of(text, bytes, err);
     inner.comment = r->s.comment;
     inner.blank = r->s.blank;
+    inner.fortran = r->s.fortran;
     inner.file = sfemi_word_text(w, r->file[r->included]);
     r->text[r->included++] = text;
     r->outer[r->depth++] = r->s;
@@ -8187,6 +8530,7 @@ static sfem_status sfemi_rows_add_name(sfemi_rows *r, sfemi_word name, sfemi_wor
     p += r->names;
     memset(p, 0, sizeof *p);
     p->name = key;
+    p->text = name;
     p->material = p->set[0] = p->set[1] = -1;
     if (kind == SFEMI_ROWS_MATERIAL) {
         material = (sfem_region *)sfemi_grow(a, r->material, (size_t)r->materials, &r->materials_room, sizeof *material);
@@ -8748,7 +9092,7 @@ done:
 static sfem_status sfemi_inp_members(sfemi_rows *r, const sfemi_inp_rows *p)
 {
     sfemi_scan *s = &r->s;
-    const sfemi_word text = r->name[p->name].name;
+    const sfemi_word text = r->name[p->name].text;
     sfem_status status;
     sfemi_word w;
     int64_t v;
@@ -8904,7 +9248,7 @@ static sfem_status sfemi_inp_check(const sfemi_rows *r)
     for (i = 0; i < r->names; ++i)
         if (!r->name[i].defined)
             return sfemi_fail(r->s.err, SFEM_FORMAT, "a *SOLID SECTION names '%s', which is not there",
-                              sfemi_word_text(r->name[i].name, text));
+                              sfemi_word_text(r->name[i].text, text));
     return SFEM_OK;
 }
 
@@ -8918,6 +9262,7 @@ static sfem_status sfemi_inp_read(sfemi_rows *r)
     int any;
     r->inp = 1;
     s->blank = ',';
+    s->fortran = 1;
     for (;;) {
         SFEMI_TRY(sfemi_rows_next(r, &any));
         if (!any) break;
@@ -9011,7 +9356,7 @@ static sfem_status sfemi_mesh_parse_medit(const sfemi_scan *s, int binary, sfemi
     r.x = x;
     r.m.allocator = x->def.allocator;
     status = binary ? sfemi_medit_read_binary(&r) : sfemi_medit_read(&r);
-    if (status == SFEM_OK && !r.has_tets && !(r.has_vertices && x->faces)) {
+    if (status == SFEM_OK && !r.has_tets && !(r.has_vertices && (x->faces || x->info.others))) {
         if (r.has_vertices && x->info.triangles)
             status = sfemi_scan_fail(&r.s, SFEM_FORMAT,
                                      "there are no Tetrahedra, but %ld triangles: sfem_mesh_from_surface makes tets of them",
@@ -9050,6 +9395,11 @@ static sfem_status sfemi_mesh_parsed_check(const sfemi_extra *x, const sfem_mesh
                           "there are %ld tets of 10 nodes: the option 'linear' of sfem_mesh_read_def reads them as 4-node tets",
                           (long)x->tets10);
     if (m->tets > 0) return SFEM_OK;
+    if (x->info.others)
+        return sfemi_fail(x->err, SFEM_BAD_MESH,
+                          "there are %ld volume cells, but none is a tet of 4 or 10 nodes: hexahedra and the like, and tets of "
+                          "third order, are not read",
+                          (long)x->info.others);
     if (x->info.triangles)
         return sfemi_fail(x->err, SFEM_BAD_MESH,
                           "there are %ld nodes and %ld triangles, but no 4-node tets: sfem_mesh_from_surface makes tets of "
@@ -9550,7 +9900,8 @@ static sfemi_mesh_kind sfemi_mesh_find(const sfemi_scan *s)
     sfemi_scan behind = *s; /* the comments at the start */
     behind.comment = '#';
     sfemi_scan_space(&behind);
-    if (sfemi_scan_begins(s, "$")) return SFEMI_GMSH;
+    if (sfemi_scan_begins(s, "$") && s->end - s->p > 1 && s->p[1] > ' ' && s->p[1] != '$') return SFEMI_GMSH; /* "$ " is a
+                                                                                            * comment of Nastran */
     if (sfemi_scan_begins(s, "# vtk DataFile Version")) return SFEMI_VTK;
     if (sfemi_scan_begins(s, "<?xml") || sfemi_scan_begins(s, "<VTKFile") || sfemi_scan_begins(s, "<!--")) return SFEMI_VTU;
     if (s->end - s->p >= 8 && (!memcmp(s->p, medit[0], 4) || !memcmp(s->p, medit[1], 4))) return SFEMI_MEDIT_BINARY;
@@ -9862,19 +10213,57 @@ static void sfemi_file_point(FILE *f, const sfem_real *x)
     sfemi_file_real(f, x[2], "\n");
 }
 
+/* The regions, each once; 1 where there are none. */
+static sfem_status sfemi_msh_regions(const sfem_mesh *m, sfemi_tags *out, sfem_error *err)
+{
+    sfem_status status = sfemi_tags_room(out, 1, &m->allocator, err);
+    sfem_int i;
+    if (status == SFEM_OK && (!m->region || m->tets < 1)) sfemi_tags_add(out, 1);
+    for (i = 0; m->region && i < m->tets && status == SFEM_OK; ++i) {
+        if (i && m->region[i] == m->region[i - 1]) continue;
+        status = sfemi_tags_room(out, 1, &m->allocator, err);
+        if (status == SFEM_OK) sfemi_tags_add(out, m->region[i]);
+    }
+    return status;
+}
+
+/* A volume for each region, without which Gmsh reads no elements of it. All have the box of the mesh. */
+static void sfemi_msh_entities(FILE *f, const sfem_mesh *m, const sfemi_tags *regions)
+{
+    sfem_real box[6] = {0, 0, 0, 0, 0, 0};
+    size_t k;
+    int c;
+    for (k = 0; k < 3 * (size_t)m->nodes; ++k) {
+        c = (int)(k % 3);
+        if (k < 3 || m->x[k] < box[c]) box[c] = m->x[k];
+        if (k < 3 || m->x[k] > box[c + 3]) box[c + 3] = m->x[k];
+    }
+    fprintf(f, "$Entities\n0 0 0 %ld\n", (long)regions->used);
+    for (k = 0; k < regions->used; ++k) {
+        fprintf(f, "%ld ", (long)regions->tag[k]);
+        for (c = 0; c < 6; ++c) sfemi_file_real(f, box[c], " ");
+        fputs("0 0\n", f); /* neither physical groups nor faces */
+    }
+    fputs("$EndEntities\n", f);
+}
+
 SFEM_DEF sfem_status sfem_mesh_write_msh(const char *path, const sfem_mesh *mesh, sfem_error *err)
 {
     const sfem_int *region;
     sfem_status status;
     sfem_int i, end, blocks = 0;
+    sfemi_tags regions;
     FILE *f;
     SFEM_ASSERT(path && mesh);
+    memset(&regions, 0, sizeof regions);
     region = mesh->region;
-    status = sfemi_mesh_counts(mesh->nodes, mesh->tets, err);
-    if (status == SFEM_OK) status = sfemi_file_create(path, &f, err);
-    if (status != SFEM_OK) return status;
-    fprintf(f, "$MeshFormat\n4.1 0 8\n$EndMeshFormat\n$Nodes\n1 %ld 1 %ld\n3 1 0 %ld\n",
-            (long)mesh->nodes, (long)mesh->nodes, (long)mesh->nodes);
+    SFEMI_TRY(sfemi_mesh_counts(mesh->nodes, mesh->tets, err));
+    SFEMI_TRY(sfemi_msh_regions(mesh, &regions, err));
+    SFEMI_TRY(sfemi_file_create(path, &f, err));
+    fputs("$MeshFormat\n4.1 0 8\n$EndMeshFormat\n", f);
+    sfemi_msh_entities(f, mesh, &regions);
+    fprintf(f, "$Nodes\n1 %ld 1 %ld\n3 %ld 0 %ld\n", (long)mesh->nodes, (long)mesh->nodes, (long)regions.tag[0],
+            (long)mesh->nodes);
     for (i = 0; i < mesh->nodes; ++i) fprintf(f, "%ld\n", (long)i + 1);
     for (i = 0; i < mesh->nodes; ++i) sfemi_file_point(f, mesh->x + 3 * (size_t)i);
     for (i = 0; i < mesh->tets; ++i) blocks += i == 0 || (region && region[i] != region[i - 1]);
@@ -9890,7 +10279,10 @@ SFEM_DEF sfem_status sfem_mesh_write_msh(const char *path, const sfem_mesh *mesh
         }
     }
     fputs("$EndElements\n", f);
-    return sfemi_file_close(f, path, err);
+    status = sfemi_file_close(f, path, err);
+done:
+    sfemi_tags_free(&regions, &mesh->allocator);
+    return status;
 }
 
 /* Text inside the quotes of an XML attribute. */
@@ -10051,7 +10443,14 @@ SFEM_DEF sfem_status sfem_mesh_write_obj(const char *path, const sfem_mesh *mesh
     }
     if (!x) x = mesh->x;
     SFEMI_NEW(sfem_int, number, &mesh->allocator, mesh->nodes);
-    for (k = 0; k < 3 * (size_t)surface->triangles; ++k) number[surface->tri[k]] = 1;
+    for (k = 0; k < 3 * (size_t)surface->triangles; ++k) {
+        if (surface->tri[k] < 0 || surface->tri[k] >= mesh->nodes) {
+            status = sfemi_fail(err, SFEM_BAD_MESH, "triangle %ld of the surface names node %ld, the mesh has %ld",
+                                (long)(k / 3), (long)surface->tri[k], (long)mesh->nodes);
+            goto done;
+        }
+        number[surface->tri[k]] = 1;
+    }
     SFEMI_TRY(sfemi_file_create(path, &f, err));
     for (i = 0; i < mesh->nodes; ++i)
         if (number[i]) {
@@ -16808,6 +17207,76 @@ SFEMI_BLOCKS_KERNEL(f, 2, 1)
 static const sfemi_blocks_kernel sfemi_blocks_path[][2] = SFEMI_PATHS(SFEMI_K); /* SFEM_DOUBLE, SFEM_MIXED */
 #undef SFEMI_K
 
+#ifndef SFEM_NO_SMOOTH
+/* ---- the same for cells of smooth tets (>>smooth), whose G are known: SFEMI_LANES of one law ---- */
+
+/* In: lambda, mu and the stabilisation 2 a mu, each times the volume, and G in p [9][SFEMI_LANES]. Out: P times the
+ * volume in p, R in rotation where that is not NULL. Returns the energy. */
+typedef sfem_real (*sfemi_cells_kernel)(int law, const sfem_real *lambda, const sfem_real *mu, const sfem_real *stab,
+                                        sfem_real *p, sfem_real *rotation);
+
+#define SFEMI_CELL_LANES(T, S, MA, DOT, DET)                                                       \
+static SFEMI_INLINE sfem_real sfemi_lanes_cells_##S(int law, const sfem_real *lambda, const sfem_real *mu, \
+                                                    const sfem_real *stab, sfem_real *p,           \
+                                                    sfem_real *rotation, const int fused)          \
+{                                                                                                  \
+    sfemi_lanes_##S w;                                                                             \
+    sfem_real energy = 0;                                                                          \
+    int l, i;                                                                                      \
+    memset(&w, 0, sizeof w);                                                                       \
+    for (i = 0; i < 9; ++i)                                                                        \
+        for (l = 0; l < SFEMI_LANES; ++l) w.g[i][l] = (T)p[SFEMI_LANES * i + l];                   \
+    for (l = 0; l < SFEMI_LANES; ++l) {                                                            \
+        const T f0 = w.g[0][l] + 1, f1 = w.g[1][l], f2 = w.g[2][l];                                \
+        const T f3 = w.g[3][l], f4 = w.g[4][l] + 1, f5 = w.g[5][l];                                \
+        const T f6 = w.g[6][l], f7 = w.g[7][l], f8 = w.g[8][l] + 1;                                \
+        w.lambda[l] = (T)lambda[l];                                                                \
+        w.mu[l] = (T)mu[l];                                                                        \
+        w.det[l] = DOT(f0, DET(f4, f8, f5, f7), f1, DET(f5, f6, f3, f8), f2, DET(f3, f7, f4, f6)); \
+    }                                                                                              \
+    if (law == SFEM_COROTATIONAL || (rotation && law != SFEM_LINEAR)) sfemi_lanes_polar_##S(&w, fused); \
+    if (law == SFEM_COROTATIONAL) sfemi_lanes_corotational_##S(&w, fused);                         \
+    else if (law == SFEM_NEOHOOKEAN) sfemi_lanes_neohookean_##S(&w, fused);                        \
+    else sfemi_lanes_linear_##S(&w, fused);                                                        \
+    for (i = 0; i < 9; ++i)                                                                        \
+        for (l = 0; l < SFEMI_LANES; ++l) {                                                        \
+            const T a = (T)stab[l], g = w.g[i][l];                                                 \
+            w.energy[l] = MA(-a / 2 * g, g, w.energy[l]);                                          \
+            p[SFEMI_LANES * i + l] = MA(-a, g, w.p[i][l]);                                         \
+        }                                                                                          \
+    for (l = 0; l < SFEMI_LANES; ++l) energy += w.energy[l];                                       \
+    for (i = 0; rotation && i < 9; ++i)                                                            \
+        for (l = 0; l < SFEMI_LANES; ++l)                                                          \
+            rotation[SFEMI_LANES * i + l] = law == SFEM_LINEAR ? (sfem_real)(i % 4 == 0) : w.r[i][l]; \
+    return energy;                                                                                 \
+}
+
+SFEMI_CELL_LANES(double, d, SFEMI_MA_d, SFEMI_DOT_d, SFEMI_DET_d)
+SFEMI_CELL_LANES(float, f, SFEMI_MA_f, SFEMI_DOT_f, SFEMI_DET_f)
+
+#define SFEMI_CELLS_KERNEL(S, PATH, FUSED)                                                         \
+SFEMI_TARGET_##PATH static sfem_real sfemi_cells_##S##_##PATH(                                     \
+    int law, const sfem_real *lambda, const sfem_real *mu, const sfem_real *stab, sfem_real *p,    \
+    sfem_real *rotation)                                                                           \
+{                                                                                                  \
+    return sfemi_lanes_cells_##S(law, lambda, mu, stab, p, rotation, FUSED);                       \
+}
+
+SFEMI_CELLS_KERNEL(d, 0, 0)
+SFEMI_CELLS_KERNEL(f, 0, 0)
+#if SFEMI_X86
+SFEMI_CELLS_KERNEL(d, 1, 1)
+SFEMI_CELLS_KERNEL(f, 1, 1)
+SFEMI_CELLS_KERNEL(d, 2, 1)
+SFEMI_CELLS_KERNEL(f, 2, 1)
+#endif
+#undef SFEMI_CELLS_KERNEL
+#undef SFEMI_CELL_LANES
+#define SFEMI_K(p) {sfemi_cells_d_##p, sfemi_cells_f_##p}
+static const sfemi_cells_kernel sfemi_cells_path[][2] = SFEMI_PATHS(SFEMI_K); /* SFEM_DOUBLE, SFEM_MIXED */
+#undef SFEMI_K
+#endif
+
 #ifndef SFEM_NO_BODY
 /* Lanes without a matrix, and where over is 0, get the unit matrix. */
 static SFEMI_INLINE void sfemi_lanes_polars(sfem_int count, const sfem_real *sum,
@@ -16875,6 +17344,1013 @@ static const sfemi_polars_kernel sfemi_polars_path[] = SFEMI_PATHS(SFEMI_K);
 #endif
 
 /* ============================================================================================
+ * >>smooth   tets that do not lock: stars, patches, their forces and matrices
+ *
+ * 1. A cell is a group of tets with one mean deformation gradient, c_e being what tet e counts in it:
+ *      F_c = sum c_e F_e / V_c,    V_c = sum c_e,    F_c = I + sum_j u_j g_cj^T
+ *    A star has the tets of one material at a node that hang together through faces at that node, c_e = V_e/4: one at
+ *    most nodes. A patch has about four tets of one material that hang together through faces, c_e = V_e: every tet
+ *    is in one patch.
+ * 2. Energy: shear at stars, volume at patches, and what keeps the tets of a star together:
+ *      Psi = sum_stars V_s psi(0, mu; F_s) + sum_patches V_p psi(lambda, 0; F_p)
+ *          + sum_s a_s mu sum_{e in s} V_e/4 |F_e - F_s|^2
+ *    psi(lambda, mu; F) is the material's law. Averages of strain: [Dohrmann et al. 2000; Puso, Solberg 2006, who
+ *    also add the last term]. By the variance identity it is sum_e V_e |F_e|^2 - sum_s V_s |F_s|^2 with its weights:
+ *    a Laplacian of the nodes, constant whatever the rotations, and a term in F_s.
+ * 3. Each cell reads and writes its own nodes: K couples nodes two edges apart. With
+ *      K0 = linear tets with lambda = 0 + sum_patches V_p lambda (div_p)^2
+ *    whose pattern is that of the tets and the patches,
+ *      K0 - K = 2 mu sum_s sum_{e in s} V_e/4 (|eps_e - eps_s|^2 - a_s |grad_e - grad_s|^2)
+ *    is positive semidefinite where a_s is at most what the star's shape allows (sfemi_smooth_limit finds it for each);
+ *    and |grad| >= |eps| gives a K0 <= K with a the least a_s, for any mesh and any lambda. So A made of K0 bounds that
+ *    of K, and conjugate gradients with it as preconditioner need a bounded number of iterations.
+ * ============================================================================================ */
+
+#define SFEMI_NODE_TASK 2048 /* nodes a task */
+
+#ifndef SFEM_NO_SMOOTH
+/* What a_s is where the star allows it. Measured on cantilevers of 4x1x1, 8x2x2 and 16x4x4 cells, nu 0.3 to 0.499:
+ * parts of the converged deflection are 0.87 to 1.06, 1.01 to 1.12, 1.03 to 1.07; with 0.15 0.78 to 0.94, 0.94 to
+ * 1.05, 1.01 to 1.05. */
+#define SFEMI_SMOOTH_A 0.12
+/* Where the law rotates, steps of (p,q,r) and K0 take lambda as of this nu at most: in a bend the rows of K0's volume
+ * part, rotated by nodes, are not those of the patches, and lambda multiplies the difference. Bars and bodies that
+ * swing, h = 1/60 s, in 2 s: nothing rejected at 0.48, 15 % at 0.49, 43 to 81 % at 0.499. Deflections at 0.48 and 0.499
+ * differ by 1 %. */
+#define SFEMI_SMOOTH_POISSON 0.48
+/* Patches are grown to so many tets; they come to 4 in the mean. With 3 bars of six-tet cells lock at nu = 0.499
+ * (0.53), with 5 they are up to 1.19. */
+#define SFEMI_PATCH_TETS 4
+#define SFEMI_SWEEP 4096     /* bins of an axis in which tets are sorted, at most; as large as */
+#define SFEMI_SWEEP_CELL 5   /* mean tets */
+#define SFEMI_CELL_TASK 16   /* groups of SFEMI_LANES cells a task */
+
+typedef struct sfemi_smooth {
+    sfem_int cells, groups;    /* cells and the empty ones that fill up groups of one law; first the stars */
+    sfem_int stars, patches;   /* how many of each */
+    sfem_int star_groups;
+    sfem_int most;             /* nodes of one cell at most */
+    unsigned char *law;        /* [groups] sfem_law */
+    sfem_int *start;           /* [cells+1] entries of a cell */
+    sfem_int *node;            /* [entries] its nodes, the star's own first; */
+    sfem_real *g;              /* [entries][3] their mean gradients, 1/m */
+    sfem_real *volume;         /* [cells] V_c, m^3 */
+    sfem_real *lambda, *mu;    /* [cells] V_c lambda, V_c mu, J: one of them is 0 */
+    sfem_real *soft;           /* [cells] lambda in steps of (p,q,r) and in K0: see SFEMI_SMOOTH_POISSON */
+    sfem_real poisson;         /* the largest that is in soft */
+    sfem_real *stab;           /* [cells] V_s 2 a_s mu, J */
+    sfem_real *weight;         /* [cells] of a star's rotation in that of its node */
+    sfem_int *in_start;        /* [nodes+1] entries of a node */
+    sfem_int *in_cell;         /* [entries] their cells, ascending, */
+    sfem_int *in_entry;        /* [entries] and places */
+    sfem_int *ring_start;      /* [nodes+1] neighbours of a node */
+    sfem_int *ring;            /* [ring_start[nodes]] */
+    sfem_real *ring_l;         /* their entries of the stabilisation's Laplacian, N/m */
+    sfem_int *patch;           /* [tets] numbered from 0, and */
+    sfem_int *tet_cell;        /* [tets][5] the stars that a tet is in, by its nodes, and the patch */
+    sfem_real a;               /* the least a_s */
+    size_t bytes;
+} sfemi_smooth;
+
+/* Building one. */
+typedef struct sfemi_smooth_maker {
+    sfemi_smooth *out;
+    const sfem_mesh *mesh;
+    const sfem_material *material;
+    const sfem_int *of;       /* [tets] the material of each */
+    sfem_int *across;         /* [tets][4] the tet across the face opposite a node, of the same material, or -1 */
+    sfem_int *start, *list;   /* [nodes+1], [4 tets] the tets of a node */
+    sfem_int *patch;          /* [tets] out->patch */
+    sfem_int *stack, *mark;   /* [tets], [nodes] scratch */
+    sfem_int *own;            /* [cells] the node of a star; -1: a patch */
+    sfem_int *member_start;   /* [cells+1] the tets */
+    sfem_int *member;         /* [5 tets] of each cell */
+    sfem_real *tet_g;         /* [tets][4][3] gradients */
+    sfem_real *tet_volume;    /* [tets] */
+    sfem_real *dense;         /* [(3 most)^2] */
+} sfemi_smooth_maker;
+
+static int sfemi_smooth_corner(const sfem_int *t, sfem_int node)
+{
+    return t[0] == node ? 0 : t[1] == node ? 1 : t[2] == node ? 2 : t[3] == node ? 3 : -1;
+}
+
+/* The tet across the face opposite corner a of tet e. */
+static sfem_int sfemi_smooth_across(const sfemi_smooth_maker *m, sfem_int e, int a)
+{
+    const sfem_int *t = m->mesh->tet + 4 * (size_t)e;
+    const sfem_int p = t[(a + 1) & 3], q = t[(a + 2) & 3], r = t[(a + 3) & 3];
+    sfem_int k;
+    for (k = m->start[p]; k < m->start[p + 1]; ++k) {
+        const sfem_int other = m->list[k], *o = m->mesh->tet + 4 * (size_t)other;
+        if (other != e && m->of[other] == m->of[e] && sfemi_smooth_corner(o, q) >= 0 && sfemi_smooth_corner(o, r) >= 0)
+            return other;
+    }
+    return -1;
+}
+
+static sfem_status sfemi_smooth_topology(sfemi_smooth_maker *m, sfemi_pool *pool, sfem_error *err)
+{
+    const sfem_mesh *mesh = m->mesh;
+    sfem_status status = SFEM_OK;
+    sfem_int i, e;
+    int a;
+    SFEMI_TAKE(sfem_int, m->start, pool, (size_t)mesh->nodes + 2);
+    SFEMI_TAKE(sfem_int, m->list, pool, 4 * (size_t)mesh->tets);
+    SFEMI_TAKE(sfem_int, m->across, pool, 4 * (size_t)mesh->tets);
+    SFEMI_TAKE(sfem_int, m->stack, pool, mesh->tets);
+    SFEMI_TAKE(sfem_int, m->mark, pool, (size_t)mesh->nodes + 1);
+    for (i = 0; i < 4 * mesh->tets; ++i) ++m->start[mesh->tet[i] + 2];
+    for (i = 0; i < mesh->nodes; ++i) m->start[i + 2] += m->start[i + 1];
+    for (e = 0; e < mesh->tets; ++e)
+        for (a = 0; a < 4; ++a) m->list[m->start[mesh->tet[4 * e + a] + 1]++] = e;
+    for (e = 0; e < mesh->tets; ++e)
+        for (a = 0; a < 4; ++a) m->across[4 * e + a] = sfemi_smooth_across(m, e, a);
+done:
+    return status;
+}
+
+/* Numbers the stars node by node: tet_cell of the corners. Returns how many there are. */
+static sfem_int sfemi_smooth_stars(sfemi_smooth_maker *m)
+{
+    const sfem_mesh *mesh = m->mesh;
+    sfem_int *cell = m->out->tet_cell, i, k, stars = 0, top;
+    int a;
+    for (i = 0; i < 5 * mesh->tets; ++i) cell[i] = -1;
+    for (i = 0; i < mesh->nodes; ++i)
+        for (k = m->start[i]; k < m->start[i + 1]; ++k) {
+            const sfem_int first = m->list[k];
+            if (cell[5 * first + sfemi_smooth_corner(mesh->tet + 4 * first, i)] >= 0) continue;
+            cell[5 * first + sfemi_smooth_corner(mesh->tet + 4 * first, i)] = stars;
+            m->stack[0] = first;
+            for (top = 1; top > 0;) {
+                const sfem_int e = m->stack[--top], *t = mesh->tet + 4 * (size_t)e;
+                for (a = 0; a < 4; ++a) {
+                    const sfem_int o = m->across[4 * e + a];
+                    sfem_int *to;
+                    if (t[a] == i || o < 0) continue;
+                    to = cell + 5 * o + sfemi_smooth_corner(mesh->tet + 4 * (size_t)o, i);
+                    if (*to >= 0) continue;
+                    *to = stars;
+                    m->stack[top++] = o;
+                }
+            }
+            ++stars;
+        }
+    return stars;
+}
+
+/* Of the tets across the faces of a patch's members, the one that adds the fewest nodes, then the nearest; -1: none. */
+static sfem_int sfemi_smooth_next(const sfemi_smooth_maker *m, const sfem_int *member, int count, const sfem_int *node,
+                                  int nodes)
+{
+    const sfem_mesh *mesh = m->mesh;
+    sfem_real centre[3] = {0, 0, 0}, least = 0;
+    sfem_int best = -1;
+    int fewest = 5, k, a, c, i;
+    for (i = 0; i < nodes; ++i)
+        for (c = 0; c < 3; ++c) centre[c] += mesh->x[3 * (size_t)node[i] + (size_t)c] / nodes;
+    for (k = 0; k < count; ++k)
+        for (a = 0; a < 4; ++a) {
+            const sfem_int o = m->across[4 * member[k] + a], *t = mesh->tet + 4 * (size_t)o;
+            sfem_real d2 = 0;
+            int fresh = 0, p;
+            if (o < 0 || m->patch[o] >= 0) continue;
+            for (p = 0; p < 4; ++p) {
+                for (i = 0; i < nodes && node[i] != t[p]; ++i) continue;
+                fresh += i == nodes;
+            }
+            for (c = 0; c < 3; ++c) {
+                sfem_real d = -centre[c];
+                for (p = 0; p < 4; ++p) d += mesh->x[3 * (size_t)t[p] + (size_t)c] / 4;
+                d2 += d * d;
+            }
+            if (fresh > fewest || (fresh == fewest && d2 >= least)) continue;
+            fewest = fresh;
+            least = d2;
+            best = o;
+        }
+    return best;
+}
+
+/* Tets by the places of their centres in coarse cells, along the longest axis first: patches that grow in this order
+ * leave few tets over, however the mesh is numbered. */
+static sfem_status sfemi_smooth_sweep(const sfemi_smooth_maker *m, sfem_int *order, sfemi_pool *pool, sfem_error *err)
+{
+    const sfem_mesh *mesh = m->mesh;
+    sfem_real low[3], high[3], volume = 0, size;
+    sfem_int *key, *bucket, *other, i, e;
+    sfem_status status = SFEM_OK;
+    int c, a, longest = 0;
+    SFEMI_TAKE(sfem_int, key, pool, 3 * (size_t)mesh->tets);
+    SFEMI_TAKE(sfem_int, other, pool, mesh->tets);
+    SFEMI_TAKE(sfem_int, bucket, pool, SFEMI_SWEEP + 1);
+    for (e = 0; e < mesh->tets; ++e) {
+        sfem_real g[4][3];
+        volume += sfemi_element_gradients(mesh, e, g);
+    }
+    size = cbrt(SFEMI_SWEEP_CELL * volume / mesh->tets);
+    for (c = 0; c < 3; ++c) {
+        low[c] = high[c] = mesh->x[c];
+        for (i = 1; i < mesh->nodes; ++i) {
+            low[c] = fmin(low[c], mesh->x[3 * (size_t)i + (size_t)c]);
+            high[c] = fmax(high[c], mesh->x[3 * (size_t)i + (size_t)c]);
+        }
+        for (e = 0; e < mesh->tets; ++e) {
+            sfem_real x = -low[c];
+            for (a = 0; a < 4; ++a) x += mesh->x[3 * (size_t)mesh->tet[4 * (size_t)e + (size_t)a] + (size_t)c] / 4;
+            key[3 * e + c] = (sfem_int)fmin(x / size, SFEMI_SWEEP - 1);
+        }
+    }
+    for (c = 0; c < 3; ++c)
+        if (high[c] - low[c] > high[longest] - low[longest]) longest = c;
+    sfemi_mesh_sort(key + (longest + 2) % 3, 3, mesh->tets, SFEMI_SWEEP, NULL, order, bucket);
+    sfemi_mesh_sort(key + (longest + 1) % 3, 3, mesh->tets, SFEMI_SWEEP, order, other, bucket);
+    sfemi_mesh_sort(key + longest, 3, mesh->tets, SFEMI_SWEEP, other, order, bucket);
+done:
+    return status;
+}
+
+/* Grows patches in the order given; their number. */
+static sfem_int sfemi_smooth_grow(sfemi_smooth_maker *m, const sfem_int *order)
+{
+    const sfem_mesh *mesh = m->mesh;
+    sfem_int e, k, patches = 0, member[SFEMI_PATCH_TETS], node[4 * SFEMI_PATCH_TETS];
+    int i, p;
+    for (e = 0; e < mesh->tets; ++e) m->patch[e] = -1;
+    for (k = 0; k < mesh->tets; ++k) {
+        sfem_int next = e = order[k];
+        int count = 0, nodes = 0;
+        if (m->patch[e] >= 0) continue;
+        while (next >= 0) {
+            const sfem_int *t = mesh->tet + 4 * (size_t)next;
+            m->patch[next] = patches;
+            member[count++] = next;
+            for (p = 0; p < 4; ++p) {
+                for (i = 0; i < nodes && node[i] != t[p]; ++i) continue;
+                if (i == nodes) node[nodes++] = t[p];
+            }
+            next = count < SFEMI_PATCH_TETS ? sfemi_smooth_next(m, member, count, node, nodes) : -1;
+        }
+        ++patches;
+    }
+    return patches;
+}
+
+/* Gives the tets of patches of at most half the size to the neighbour with most faces; numbers the patches anew. size:
+ * [patches]. */
+static sfem_int sfemi_smooth_merge(sfemi_smooth_maker *m, sfem_int patches, sfem_int *size)
+{
+    const sfem_int tets = m->mesh->tets;
+    sfem_int e, k, count = 0;
+    int sweep, a, b;
+    memset(size, 0, (size_t)patches * sizeof *size);
+    for (e = 0; e < tets; ++e) ++size[m->patch[e]];
+    for (sweep = 0; sweep < 3; ++sweep)
+        for (e = 0; e < tets; ++e) {
+            sfem_int best = -1;
+            int most = 0;
+            if (size[m->patch[e]] > SFEMI_PATCH_TETS / 2) continue;
+            for (a = 0; a < 4; ++a) {
+                const sfem_int o = m->across[4 * e + a], other = o < 0 ? -1 : m->patch[o];
+                int faces = 0;
+                if (other < 0 || other == m->patch[e]) continue;
+                for (b = 0; b < 4; ++b) {
+                    const sfem_int q = m->across[4 * e + b];
+                    faces += q >= 0 && m->patch[q] == other;
+                }
+                if (faces < most || (faces == most && best >= 0 && other >= best)) continue;
+                most = faces;
+                best = other;
+            }
+            if (best < 0) continue;
+            --size[m->patch[e]];
+            ++size[best];
+            m->patch[e] = best;
+        }
+    for (k = 0; k < patches; ++k) size[k] = -1;
+    for (e = 0; e < tets; ++e) {
+        if (size[m->patch[e]] < 0) size[m->patch[e]] = count++;
+        m->patch[e] = size[m->patch[e]];
+    }
+    return count;
+}
+
+/* Puts stars, then patches, law by law into groups: tet_cell becomes places. number and law: [stars + patches]. */
+static void sfemi_smooth_group(sfemi_smooth_maker *m, sfem_int *number, unsigned char *law)
+{
+    sfemi_smooth *s = m->out;
+    const sfem_int count[2] = {s->stars, s->patches}, tets = m->mesh->tets;
+    sfem_int e, k, at = 0, first = 0;
+    int kind, l, a;
+    for (e = 0; e < tets; ++e) {
+        s->tet_cell[5 * e + 4] = s->stars + m->patch[e];
+        for (a = 0; a < 5; ++a) law[s->tet_cell[5 * e + a]] = (unsigned char)m->material[m->of[e]].law;
+    }
+    for (kind = 0; kind < 2; first += count[kind++]) {
+        for (l = 0; l <= SFEM_NEOHOOKEAN; ++l) {
+            for (k = first; k < first + count[kind]; ++k)
+                if (law[k] == l) number[k] = at++;
+            at = (at + SFEMI_LANES - 1) / SFEMI_LANES * SFEMI_LANES;
+        }
+        if (kind == 0) s->star_groups = at / SFEMI_LANES;
+    }
+    s->cells = at;
+    s->groups = at / SFEMI_LANES;
+    for (e = 0; e < 5 * tets; ++e) s->tet_cell[e] = number[s->tet_cell[e]];
+}
+
+/* The entries: node and start, with s->most. The mark of a node is the last cell that saw it. fill 0: counts only. */
+static void sfemi_smooth_entries(sfemi_smooth_maker *m, int fill)
+{
+    sfemi_smooth *s = m->out;
+    sfem_int c, k, i, at = 0;
+    int a;
+    for (i = 0; i < m->mesh->nodes; ++i) m->mark[i] = -1;
+    for (c = 0; c < s->cells; ++c) {
+        if (m->own[c] >= 0) {
+            m->mark[m->own[c]] = c;
+            if (fill) s->node[at] = m->own[c];
+            ++at;
+        }
+        for (k = m->member_start[c]; k < m->member_start[c + 1]; ++k) {
+            const sfem_int e = m->member[k], *t = m->mesh->tet + 4 * (size_t)e;
+            for (a = 0; a < 4; ++a) {
+                if (m->mark[t[a]] == c) continue;
+                m->mark[t[a]] = c;
+                if (fill) s->node[at] = t[a];
+                ++at;
+            }
+        }
+        s->start[c + 1] = at;
+        if (at - s->start[c] > s->most) s->most = at - s->start[c];
+    }
+}
+
+/* The tets of each cell, and its own node. */
+static sfem_status sfemi_smooth_members(sfemi_smooth_maker *m, sfemi_pool *pool, sfem_error *err)
+{
+    const sfemi_smooth *s = m->out;
+    const sfem_int tets = m->mesh->tets;
+    sfem_status status = SFEM_OK;
+    sfem_int e, c;
+    int a;
+    SFEMI_TAKE(sfem_int, m->member_start, pool, (size_t)s->cells + 2);
+    SFEMI_TAKE(sfem_int, m->member, pool, 5 * (size_t)tets);
+    SFEMI_TAKE(sfem_int, m->own, pool, s->cells);
+    for (c = 0; c < s->cells; ++c) m->own[c] = -1;
+    for (e = 0; e < 4 * tets; ++e) m->own[s->tet_cell[5 * (e / 4) + e % 4]] = m->mesh->tet[e];
+    for (e = 0; e < 5 * tets; ++e) ++m->member_start[s->tet_cell[e] + 2];
+    for (c = 0; c < s->cells; ++c) m->member_start[c + 2] += m->member_start[c + 1];
+    for (e = 0; e < tets; ++e)
+        for (a = 0; a < 5; ++a) m->member[m->member_start[s->tet_cell[5 * e + a] + 1]++] = e;
+done:
+    return status;
+}
+
+/* dense = sum_e V_e/4 (|eps_e - eps_s|^2 - a |grad_e - grad_s|^2) of star c, lower half, without the nodes of its
+ * largest tet. place: the row of each entry, or -1. */
+static sfem_int sfemi_smooth_spread(const sfemi_smooth_maker *m, sfem_int c, sfem_real a, sfem_int *place)
+{
+    const sfemi_smooth *s = m->out;
+    const sfem_int first = s->start[c], count = s->start[c + 1] - first;
+    sfem_int k, i, j, n = 0, largest = m->member[m->member_start[c]];
+    int p, q, r, d;
+    for (k = m->member_start[c]; k < m->member_start[c + 1]; ++k)
+        if (m->tet_volume[m->member[k]] > m->tet_volume[largest]) largest = m->member[k];
+    for (i = 0; i < count; ++i) {
+        const sfem_int node = s->node[first + i];
+        place[node] = sfemi_smooth_corner(m->mesh->tet + 4 * (size_t)largest, node) < 0 ? n++ : -1;
+    }
+    memset(m->dense, 0, 9 * (size_t)n * (size_t)n * sizeof *m->dense);
+    for (k = m->member_start[c]; k <= m->member_start[c + 1]; ++k) {
+        const int mean = k == m->member_start[c + 1]; /* at last less the star's own */
+        const sfem_int e = mean ? 0 : m->member[k];
+        const sfem_real w = mean ? -s->volume[c] : m->tet_volume[e] / 4;
+        const sfem_int corners = mean ? count : 4, *node = mean ? s->node + first : m->mesh->tet + 4 * (size_t)e;
+        const sfem_real *g = mean ? s->g + 3 * (size_t)first : m->tet_g + 12 * (size_t)e;
+        for (p = 0; p < corners; ++p)
+            for (q = 0; q < corners; ++q) {
+                const sfem_real *gp = g + 3 * p, *gq = g + 3 * q, dot = sfemi_dot3(gp, gq);
+                i = place[node[p]], j = place[node[q]];
+                if (i < 0 || j < 0 || i < j) continue;
+                for (r = 0; r < 3; ++r)
+                    for (d = 0; d < 3; ++d)
+                        m->dense[(size_t)(3 * i + r) + (size_t)(3 * j + d) * 3 * (size_t)n] +=
+                            w * (gq[r] * gp[d] / 2 + (r == d ? (0.5 - a) * dot : 0));
+            }
+    }
+    return n;
+}
+
+/* The largest a, up to SFEMI_SMOOTH_A, at which K0 bounds K on star c: by the Cholesky factors of the form above, which
+ * is zero for affine fields only. Bisection where that is too much. place: [nodes] scratch. */
+static sfem_real sfemi_smooth_limit(const sfemi_smooth_maker *m, sfem_int c, sfem_int *place)
+{
+    sfem_real low = 0, high = SFEMI_SMOOTH_A, a = high;
+    int k;
+    for (k = 0; k < 12; ++k) {
+        const sfem_int n = sfemi_smooth_spread(m, c, a * 1.001, place);
+        if (n == 0 || sfem_dense_cholesky(3 * n, m->dense, NULL) == SFEM_OK) low = a;
+        else high = a;
+        if (low == high) break;
+        a = (low + high) / 2;
+    }
+    return low;
+}
+
+/* Mean gradients, volumes and moduli of the cells. */
+static void sfemi_smooth_shapes(sfemi_smooth_maker *m)
+{
+    sfemi_smooth *s = m->out;
+    sfem_int c, k, i;
+    int a, d;
+    for (c = 0; c < s->cells; ++c) {
+        const int star = c < s->star_groups * SFEMI_LANES;
+        const sfem_int first = s->start[c];
+        const sfem_material *material = NULL;
+        sfem_real lambda, mu;
+        for (i = first; i < s->start[c + 1]; ++i) m->mark[s->node[i]] = i;
+        for (k = m->member_start[c]; k < m->member_start[c + 1]; ++k) {
+            const sfem_int e = m->member[k], *t = m->mesh->tet + 4 * (size_t)e;
+            const sfem_real w = m->tet_volume[e] / (star ? 4 : 1);
+            material = m->material + m->of[e];
+            s->volume[c] += w;
+            for (a = 0; a < 4; ++a)
+                for (d = 0; d < 3; ++d)
+                    s->g[3 * (size_t)m->mark[t[a]] + (size_t)d] += w * m->tet_g[12 * (size_t)e + (size_t)(3 * a + d)];
+        }
+        for (i = 3 * first; i < 3 * s->start[c + 1]; ++i) s->g[i] /= s->volume[c];
+        if (!material) continue;
+        s->law[c / SFEMI_LANES] = (unsigned char)material->law;
+        sfem_law_lame(material->young, material->poisson, &lambda, &mu);
+        if (star) s->weight[c] = 4 * s->volume[c] * (lambda + 2 * mu);
+        if (star) s->mu[c] = s->volume[c] * mu;
+        else s->lambda[c] = s->volume[c] * lambda;
+        if (star) continue;
+        s->soft[c] = s->lambda[c];
+        s->poisson = fmax(s->poisson, material->law == SFEM_LINEAR ? material->poisson
+                                                                   : fmin(material->poisson, SFEMI_SMOOTH_POISSON));
+        if (material->law != SFEM_LINEAR && material->poisson > SFEMI_SMOOTH_POISSON)
+            s->soft[c] = s->volume[c] * 2 * mu * SFEMI_SMOOTH_POISSON / (1 - 2 * SFEMI_SMOOTH_POISSON);
+    }
+}
+
+/* The entries of each node, and its neighbours with the stabilisation's Laplacian. */
+static sfem_status sfemi_smooth_transpose(sfemi_smooth_maker *m, sfemi_pool *pool, sfem_error *err)
+{
+    sfemi_smooth *s = m->out;
+    const sfem_int nodes = m->mesh->nodes;
+    sfem_status status = SFEM_OK;
+    sfem_int c, i, k, pass, at;
+    int a;
+    SFEMI_TAKE(sfem_int, s->in_start, pool, (size_t)nodes + 2);
+    SFEMI_TAKE(sfem_int, s->in_cell, pool, s->start[s->cells]);
+    SFEMI_TAKE(sfem_int, s->in_entry, pool, s->start[s->cells]);
+    for (i = 0; i < s->start[s->cells]; ++i) ++s->in_start[s->node[i] + 2];
+    for (i = 0; i < nodes; ++i) s->in_start[i + 2] += s->in_start[i + 1];
+    for (c = 0; c < s->cells; ++c)
+        for (i = s->start[c]; i < s->start[c + 1]; ++i) {
+            const sfem_int to = s->in_start[s->node[i] + 1]++;
+            s->in_cell[to] = c;
+            s->in_entry[to] = i;
+        }
+    SFEMI_TAKE(sfem_int, s->ring_start, pool, (size_t)nodes + 1);
+    for (pass = 0; pass < 2; ++pass) {
+        for (i = 0; i < nodes; ++i) m->mark[i] = -1;
+        for (at = i = 0; i < nodes; ++i) {
+            const sfem_int first = at;
+            for (k = m->start[i]; k < m->start[i + 1]; ++k) {
+                const sfem_int e = m->list[k], *t = m->mesh->tet + 4 * (size_t)e;
+                const sfem_real *g = m->tet_g + 12 * (size_t)e;
+                const sfem_real *gi = g + 3 * sfemi_smooth_corner(t, i);
+                sfem_real w = 0;
+                for (a = 0; a < 4; ++a) {
+                    const sfem_int star = s->tet_cell[5 * e + a];
+                    w += s->stab[star] / s->volume[star] * m->tet_volume[e] / 4;
+                }
+                for (a = 0; a < 4; ++a) {
+                    if (t[a] == i) continue;
+                    if (m->mark[t[a]] < first) m->mark[t[a]] = at++;
+                    if (!pass) continue;
+                    s->ring[m->mark[t[a]]] = t[a];
+                    s->ring_l[m->mark[t[a]]] += w * sfemi_dot3(gi, g + 3 * a);
+                }
+            }
+            s->ring_start[i + 1] = at;
+        }
+        if (pass) break;
+        SFEMI_TAKE(sfem_int, s->ring, pool, at);
+        SFEMI_TAKE(sfem_real, s->ring_l, pool, at);
+    }
+done:
+    return status;
+}
+
+static sfem_status sfemi_smooth_number(sfemi_smooth_maker *m, sfem_error *err)
+{
+    sfemi_smooth *s = m->out;
+    sfemi_pool pool = sfemi_pool_of(&m->mesh->allocator);
+    sfem_int *number, *order;
+    unsigned char *law;
+    sfem_status status = SFEM_OK;
+    SFEMI_TAKE(sfem_int, order, &pool, m->mesh->tets);
+    SFEMI_TRY(sfemi_smooth_sweep(m, order, &pool, err));
+    s->stars = sfemi_smooth_stars(m);
+    s->patches = sfemi_smooth_grow(m, order);
+    SFEMI_TAKE(sfem_int, number, &pool, (size_t)s->stars + (size_t)s->patches);
+    s->patches = sfemi_smooth_merge(m, s->patches, number);
+    SFEMI_TAKE(unsigned char, law, &pool, (size_t)s->stars + (size_t)s->patches);
+    sfemi_smooth_group(m, number, law);
+done:
+    sfemi_pool_free(&pool);
+    return status;
+}
+
+static sfem_status sfemi_smooth_fill(sfemi_smooth_maker *m, sfemi_pool *own, sfemi_pool *pool, sfem_error *err)
+{
+    sfemi_smooth *s = m->out;
+    const size_t cells = (size_t)s->cells;
+    sfem_status status = SFEM_OK;
+    sfem_int c, e;
+    SFEMI_TRY(sfemi_smooth_members(m, pool, err));
+    SFEMI_TAKE(sfem_int, s->start, own, cells + 1);
+    sfemi_smooth_entries(m, 0);
+    SFEMI_TAKE(sfem_int, s->node, own, s->start[cells]);
+    SFEMI_TAKE(sfem_real, s->g, own, 3 * (size_t)s->start[cells]);
+    SFEMI_TAKE(sfem_real, s->volume, own, cells);
+    SFEMI_TAKE(sfem_real, s->lambda, own, cells);
+    SFEMI_TAKE(sfem_real, s->soft, own, cells);
+    SFEMI_TAKE(sfem_real, s->mu, own, cells);
+    SFEMI_TAKE(sfem_real, s->stab, own, cells);
+    SFEMI_TAKE(sfem_real, s->weight, own, cells);
+    SFEMI_TAKE(unsigned char, s->law, own, s->groups);
+    SFEMI_TAKE(sfem_real, m->tet_g, pool, 12 * (size_t)m->mesh->tets);
+    SFEMI_TAKE(sfem_real, m->tet_volume, pool, m->mesh->tets);
+    SFEMI_TAKE(sfem_real, m->dense, pool, 9 * (size_t)s->most * (size_t)s->most);
+    sfemi_smooth_entries(m, 1);
+    for (e = 0; e < m->mesh->tets; ++e) {
+        sfem_real g[4][3];
+        m->tet_volume[e] = sfemi_element_gradients(m->mesh, e, g);
+        memcpy(m->tet_g + 12 * (size_t)e, g, sizeof g);
+    }
+    sfemi_smooth_shapes(m);
+    s->a = SFEMI_SMOOTH_A;
+    for (c = 0; c < s->star_groups * SFEMI_LANES; ++c) {
+        sfem_real a;
+        if (s->start[c] == s->start[c + 1]) continue;
+        a = sfemi_smooth_limit(m, c, m->mark);
+        s->a = fmin(s->a, a);
+        s->stab[c] = 2 * a * s->mu[c];
+    }
+    SFEMI_TRY(sfemi_smooth_transpose(m, own, err));
+    s->bytes = (size_t)s->start[cells] * (3 * sizeof(sfem_int) + 3 * sizeof(sfem_real)) +
+               (size_t)s->ring_start[m->mesh->nodes] * (sizeof(sfem_int) + sizeof(sfem_real)) +
+               cells * (sizeof(sfem_int) + 6 * sizeof(sfem_real)) + (size_t)s->groups +
+               (6 * (size_t)m->mesh->tets + 2 * (size_t)m->mesh->nodes) * sizeof(sfem_int);
+done:
+    return status;
+}
+
+/* The cells of a mesh, of[e] being the material of tet e; `own` keeps what is made. */
+static sfem_status sfemi_smooth_create(const sfem_mesh *mesh, const sfem_material *material, const sfem_int *of,
+                                       sfemi_pool *own, sfemi_smooth **out, sfem_error *err)
+{
+    sfemi_pool pool = sfemi_pool_of(&mesh->allocator);
+    sfemi_smooth_maker m;
+    sfem_status status = SFEM_OK;
+    memset(&m, 0, sizeof m);
+    m.mesh = mesh;
+    m.material = material;
+    m.of = of;
+    if (mesh->tets > INT32_MAX / 100)
+        return sfemi_fail(err, SFEM_TOO_LARGE, "%d smooth tets overflow the index type", (int)mesh->tets);
+    SFEMI_TAKE(sfemi_smooth, m.out, own, 1);
+    SFEMI_TAKE(sfem_int, m.out->tet_cell, own, 5 * (size_t)mesh->tets);
+    SFEMI_TAKE(sfem_int, m.out->patch, own, mesh->tets);
+    m.patch = m.out->patch;
+    SFEMI_TRY(sfemi_smooth_topology(&m, &pool, err));
+    SFEMI_TRY(sfemi_smooth_number(&m, err));
+    SFEMI_TRY(sfemi_smooth_fill(&m, own, &pool, err));
+    *out = m.out;
+done:
+    sfemi_pool_free(&pool);
+    return status;
+}
+
+/* Is star c node i's? */
+static int sfemi_smooth_owns(const sfemi_smooth *s, sfem_int c, sfem_int i) { return s->node[s->start[c]] == i; }
+
+/* ---- forces ---- */
+
+typedef struct sfemi_smooth_forces {
+    const sfemi_smooth *smooth;
+    const sfem_real *u; /* [nodes][3] */
+    sfem_real *force;   /* [nodes][3] */
+    const sfem_real *lambda; /* smooth->lambda or soft */
+    sfem_real *sum;     /* [nodes][9] the stars' rotations times their weights, or NULL */
+    sfem_real *u4;      /* [nodes][4] u, a vector each */
+    sfem_real *q;       /* [cells][3][4] the columns of V P, a vector each */
+    sfem_real *r;       /* [star_groups][9][SFEMI_LANES] rotations, if sum */
+    sfem_real *energy;  /* [groups], then [nodes] of tasks */
+    sfem_int nodes;
+    sfem_real stiffest; /* what the weights are relative to */
+    sfemi_cells_kernel kernel;
+    const struct sfemi_smooth_kernels *gather;
+} sfemi_smooth_forces;
+
+/* G of a group's cells, by lanes; the force of a node, and the ring's part of the energy */
+typedef struct sfemi_smooth_kernels {
+    void (*cells)(const sfemi_smooth *s, sfem_int first, const sfem_real *u4, sfem_real *p);
+    sfem_real (*node)(const sfemi_smooth_forces *job, sfem_int i);
+} sfemi_smooth_kernels;
+
+/* G = sum u_j g_j^T of a cell, `apart` from one entry to the next. Differences, so that a translation is only
+ * rounding. */
+static void sfemi_smooth_gradient(const sfemi_smooth *s, sfem_int c, const sfem_real *u, sfem_real *out, size_t apart)
+{
+    const sfem_int first = s->start[c], end = s->start[c + 1];
+    sfem_real g0 = 0, g1 = 0, g2 = 0, g3 = 0, g4 = 0, g5 = 0, g6 = 0, g7 = 0, g8 = 0;
+    const sfem_real *o = first < end ? u + 3 * (size_t)s->node[first] : u;
+    sfem_int k;
+    for (k = first + 1; k < end; ++k) {
+        const sfem_real *g = s->g + 3 * (size_t)k, *v = u + 3 * (size_t)s->node[k];
+        const sfem_real x = v[0] - o[0], y = v[1] - o[1], z = v[2] - o[2];
+        g0 += x * g[0], g1 += x * g[1], g2 += x * g[2];
+        g3 += y * g[0], g4 += y * g[1], g5 += y * g[2];
+        g6 += z * g[0], g7 += z * g[1], g8 += z * g[2];
+    }
+    out[0] = g0, out[apart] = g1, out[2 * apart] = g2;
+    out[3 * apart] = g3, out[4 * apart] = g4, out[5 * apart] = g5;
+    out[6 * apart] = g6, out[7 * apart] = g7, out[8 * apart] = g8;
+}
+
+static void sfemi_smooth_cells_0(const sfemi_smooth *s, sfem_int first, const sfem_real *u4, sfem_real *p)
+{
+    sfem_int c, k;
+    for (c = first; c < first + SFEMI_LANES; ++c, ++p) {
+        const sfem_real *o = s->start[c] < s->start[c + 1] ? u4 + 4 * (size_t)s->node[s->start[c]] : u4;
+        sfem_real g0 = 0, g1 = 0, g2 = 0, g3 = 0, g4 = 0, g5 = 0, g6 = 0, g7 = 0, g8 = 0;
+        for (k = s->start[c] + 1; k < s->start[c + 1]; ++k) {
+            const sfem_real *g = s->g + 3 * (size_t)k, *v = u4 + 4 * (size_t)s->node[k];
+            const sfem_real x = v[0] - o[0], y = v[1] - o[1], z = v[2] - o[2];
+            g0 += x * g[0], g1 += x * g[1], g2 += x * g[2];
+            g3 += y * g[0], g4 += y * g[1], g5 += y * g[2];
+            g6 += z * g[0], g7 += z * g[1], g8 += z * g[2];
+        }
+        p[0] = g0, p[SFEMI_LANES] = g1, p[2 * SFEMI_LANES] = g2;
+        p[3 * SFEMI_LANES] = g3, p[4 * SFEMI_LANES] = g4, p[5 * SFEMI_LANES] = g5;
+        p[6 * SFEMI_LANES] = g6, p[7 * SFEMI_LANES] = g7, p[8 * SFEMI_LANES] = g8;
+    }
+}
+
+static sfem_real sfemi_smooth_node_0(const sfemi_smooth_forces *job, sfem_int i)
+{
+    const sfemi_smooth *s = job->smooth;
+    const sfem_real *u = job->u4 + 4 * (size_t)i;
+    sfem_real f0 = 0, f1 = 0, f2 = 0, energy = 0;
+    sfem_int k;
+    for (k = s->in_start[i]; k < s->in_start[i + 1]; ++k) {
+        const sfem_real *q = job->q + 12 * (size_t)s->in_cell[k], *g = s->g + 3 * (size_t)s->in_entry[k];
+        f0 += q[0] * g[0] + q[4] * g[1] + q[8] * g[2];
+        f1 += q[1] * g[0] + q[5] * g[1] + q[9] * g[2];
+        f2 += q[2] * g[0] + q[6] * g[1] + q[10] * g[2];
+    }
+    for (k = s->ring_start[i]; k < s->ring_start[i + 1]; ++k) {
+        const sfem_real *v = job->u4 + 4 * (size_t)s->ring[k], w = s->ring_l[k];
+        const sfem_real x = v[0] - u[0], y = v[1] - u[1], z = v[2] - u[2];
+        f0 += w * x, f1 += w * y, f2 += w * z;
+        energy -= w * (x * x + y * y + z * z);
+    }
+    job->force[3 * (size_t)i] = f0;
+    job->force[3 * (size_t)i + 1] = f1;
+    job->force[3 * (size_t)i + 2] = f2;
+    return energy / 4;
+}
+
+#if SFEMI_X86
+SFEMI_TARGET_1 static void sfemi_smooth_cells_1(const sfemi_smooth *s, sfem_int first, const sfem_real *u4, sfem_real *p)
+{
+    sfem_real out[12];
+    sfem_int c, k;
+    for (c = first; c < first + SFEMI_LANES; ++c, ++p) {
+        const sfem_int end = s->start[c + 1];
+        const __m256d o = _mm256_loadu_pd(s->start[c] < end ? u4 + 4 * (size_t)s->node[s->start[c]] : u4);
+        __m256d a0 = _mm256_setzero_pd(), a1 = a0, a2 = a0; /* the columns of G */
+        for (k = s->start[c] + 1; k < end; ++k) {
+            const sfem_real *g = s->g + 3 * (size_t)k;
+            const __m256d d = _mm256_sub_pd(_mm256_loadu_pd(u4 + 4 * (size_t)s->node[k]), o);
+            a0 = _mm256_fmadd_pd(d, _mm256_broadcast_sd(g), a0);
+            a1 = _mm256_fmadd_pd(d, _mm256_broadcast_sd(g + 1), a1);
+            a2 = _mm256_fmadd_pd(d, _mm256_broadcast_sd(g + 2), a2);
+        }
+        _mm256_storeu_pd(out, a0);
+        _mm256_storeu_pd(out + 4, a1);
+        _mm256_storeu_pd(out + 8, a2);
+        p[0] = out[0], p[SFEMI_LANES] = out[4], p[2 * SFEMI_LANES] = out[8];
+        p[3 * SFEMI_LANES] = out[1], p[4 * SFEMI_LANES] = out[5], p[5 * SFEMI_LANES] = out[9];
+        p[6 * SFEMI_LANES] = out[2], p[7 * SFEMI_LANES] = out[6], p[8 * SFEMI_LANES] = out[10];
+    }
+}
+
+SFEMI_TARGET_1 static sfem_real sfemi_smooth_node_1(const sfemi_smooth_forces *job, sfem_int i)
+{
+    const sfemi_smooth *s = job->smooth;
+    const __m256d u = _mm256_loadu_pd(job->u4 + 4 * (size_t)i);
+    __m256d f = _mm256_setzero_pd(), e = f, h = f;
+    sfem_real out[4], energy[4];
+    sfem_int k;
+    for (k = s->in_start[i]; k < s->in_start[i + 1]; ++k) {
+        const sfem_real *q = job->q + 12 * (size_t)s->in_cell[k], *g = s->g + 3 * (size_t)s->in_entry[k];
+        f = _mm256_fmadd_pd(_mm256_loadu_pd(q), _mm256_broadcast_sd(g), f);
+        h = _mm256_fmadd_pd(_mm256_loadu_pd(q + 4), _mm256_broadcast_sd(g + 1), h);
+        f = _mm256_fmadd_pd(_mm256_loadu_pd(q + 8), _mm256_broadcast_sd(g + 2), f);
+    }
+    for (k = s->ring_start[i]; k < s->ring_start[i + 1]; ++k) {
+        const __m256d d = _mm256_sub_pd(_mm256_loadu_pd(job->u4 + 4 * (size_t)s->ring[k]), u);
+        const __m256d wd = _mm256_mul_pd(d, _mm256_broadcast_sd(s->ring_l + k));
+        f = _mm256_add_pd(f, wd);
+        e = _mm256_fnmadd_pd(wd, d, e);
+    }
+    _mm256_storeu_pd(out, _mm256_add_pd(f, h));
+    _mm256_storeu_pd(energy, e);
+    memcpy(job->force + 3 * (size_t)i, out, 3 * sizeof *out);
+    return (energy[0] + energy[1] + energy[2]) / 4;
+}
+#endif
+
+/* WAY_2: vectors of a node's three coordinates gain nothing from AVX-512 */
+#define SFEMI_WAY_0 {sfemi_smooth_cells_0, sfemi_smooth_node_0}
+#define SFEMI_WAY_1 {sfemi_smooth_cells_1, sfemi_smooth_node_1}
+#define SFEMI_WAY_2 SFEMI_WAY_1
+#define SFEMI_K(p) SFEMI_WAY_##p
+static const sfemi_smooth_kernels sfemi_smooth_path[] = SFEMI_PATHS(SFEMI_K);
+#undef SFEMI_K
+#undef SFEMI_WAY_0
+#undef SFEMI_WAY_1
+#undef SFEMI_WAY_2
+
+static void sfemi_smooth_spread_u(void *data, sfem_int index)
+{
+    const sfemi_smooth_forces *job = (const sfemi_smooth_forces *)data;
+    sfem_int i, end = job->nodes;
+    if (end - index * SFEMI_NODE_TASK > SFEMI_NODE_TASK) end = (index + 1) * SFEMI_NODE_TASK;
+    for (i = index * SFEMI_NODE_TASK; i < end; ++i) {
+        const sfem_real *u = job->u + 3 * (size_t)i;
+        sfem_real *to = job->u4 + 4 * (size_t)i;
+        to[0] = u[0], to[1] = u[1], to[2] = u[2], to[3] = 0;
+    }
+}
+
+static void sfemi_smooth_some_cells(void *data, sfem_int index)
+{
+    const sfemi_smooth_forces *job = (const sfemi_smooth_forces *)data;
+    const sfemi_smooth *s = job->smooth;
+    sfem_real p[9 * SFEMI_LANES];
+    sfem_int group, end = (index + 1) * SFEMI_CELL_TASK;
+    int l;
+    if (end > s->groups) end = s->groups;
+    for (group = index * SFEMI_CELL_TASK; group < end; ++group) {
+        const size_t first = SFEMI_LANES * (size_t)group;
+        sfem_real *q = job->q + 12 * first;
+        job->gather->cells(s, (sfem_int)first, job->u4, p);
+        job->energy[group] = job->kernel(s->law[group], job->lambda + first, s->mu + first, s->stab + first, p,
+                                         job->sum && group < s->star_groups ? job->r + 9 * first : NULL);
+        for (l = 0; l < SFEMI_LANES; ++l, q += 12) {
+            q[0] = p[l], q[1] = p[3 * SFEMI_LANES + l], q[2] = p[6 * SFEMI_LANES + l], q[3] = 0;
+            q[4] = p[SFEMI_LANES + l], q[5] = p[4 * SFEMI_LANES + l], q[6] = p[7 * SFEMI_LANES + l], q[7] = 0;
+            q[8] = p[2 * SFEMI_LANES + l], q[9] = p[5 * SFEMI_LANES + l], q[10] = p[8 * SFEMI_LANES + l], q[11] = 0;
+        }
+    }
+}
+
+static void sfemi_smooth_some_nodes(void *data, sfem_int index)
+{
+    const sfemi_smooth_forces *job = (const sfemi_smooth_forces *)data;
+    const sfemi_smooth *s = job->smooth;
+    const sfem_int stars = s->star_groups * SFEMI_LANES;
+    sfem_int i, k, end = job->nodes;
+    sfem_real energy = 0;
+    int c;
+    if (end - index * SFEMI_NODE_TASK > SFEMI_NODE_TASK) end = (index + 1) * SFEMI_NODE_TASK;
+    for (i = index * SFEMI_NODE_TASK; i < end; ++i) {
+        energy += job->gather->node(job, i);
+        if (!job->sum) continue;
+        memset(job->sum + 9 * (size_t)i, 0, 9 * sizeof *job->sum);
+        for (k = s->in_start[i]; k < s->in_start[i + 1] && s->in_cell[k] < stars; ++k) {
+            const sfem_int star = s->in_cell[k];
+            const sfem_real *r = job->r + 9 * SFEMI_LANES * (size_t)(star / SFEMI_LANES) + star % SFEMI_LANES;
+            if (!sfemi_smooth_owns(s, star, i)) continue;
+            for (c = 0; c < 9; ++c)
+                job->sum[9 * (size_t)i + (size_t)c] += s->weight[star] / job->stiffest * r[SFEMI_LANES * c];
+        }
+    }
+    job->energy[s->groups + index] = energy;
+}
+
+/* For work: what a job needs of sfem_real. */
+static size_t sfemi_smooth_work_size(const sfemi_smooth *s, sfem_int nodes)
+{
+    return SFEMI_LANES * (12 * (size_t)s->groups + 9 * (size_t)s->star_groups) + 4 * (size_t)nodes + (size_t)s->groups +
+           (size_t)nodes / SFEMI_NODE_TASK + 1;
+}
+
+/* Energy and internal force: gathers only, so that any number of threads leaves the same bits. */
+static sfem_real sfemi_smooth_run(sfemi_smooth_forces *job, sfem_precision precision, sfem_real *work,
+                                  const sfem_exec *exec)
+{
+    const sfemi_smooth *s = job->smooth;
+    const sfem_int cells = (s->groups - 1) / SFEMI_CELL_TASK + 1, nodes = (job->nodes - 1) / SFEMI_NODE_TASK + 1;
+    sfem_real energy = 0;
+    sfem_int k;
+    job->u4 = work;
+    job->q = job->u4 + 4 * (size_t)job->nodes;
+    job->r = job->q + 12 * SFEMI_LANES * (size_t)s->groups;
+    job->energy = job->r + 9 * SFEMI_LANES * (size_t)s->star_groups;
+    job->kernel = sfemi_cells_path[sfemi_path()][precision == SFEM_MIXED];
+    job->gather = &sfemi_smooth_path[sfemi_path()];
+    sfemi_run(exec, nodes, sfemi_smooth_spread_u, job);
+    sfemi_run(exec, cells, sfemi_smooth_some_cells, job);
+    sfemi_run(exec, nodes, sfemi_smooth_some_nodes, job);
+    for (k = 0; k < s->groups + nodes; ++k) energy += job->energy[k];
+    return energy;
+}
+
+/* ---- matrices ---- */
+
+/* y = K x of the rest pose, a cell after another: needs no memory. lambda: s->lambda or s->soft. */
+static void sfemi_smooth_multiply(const sfemi_smooth *s, const sfem_real *lambda, sfem_int nodes, const sfem_real *x,
+                                  sfem_real *y)
+{
+    sfem_int c, k, i;
+    int r, d;
+    memset(y, 0, 3 * (size_t)nodes * sizeof *y);
+    for (c = 0; c < s->cells; ++c) {
+        sfem_real g[9], p[9], trace;
+        sfemi_smooth_gradient(s, c, x, g, 1);
+        trace = lambda[c] * (g[0] + g[4] + g[8]);
+        for (r = 0; r < 3; ++r)
+            for (d = 0; d < 3; ++d)
+                p[3 * r + d] =
+                    s->mu[c] * (g[3 * r + d] + g[3 * d + r]) - s->stab[c] * g[3 * r + d] + (r == d ? trace : 0);
+        for (k = s->start[c]; k < s->start[c + 1]; ++k)
+            for (r = 0; r < 3; ++r)
+                y[3 * (size_t)s->node[k] + (size_t)r] += sfemi_dot3(p + 3 * r, s->g + 3 * (size_t)k);
+    }
+    for (i = 0; i < nodes; ++i)
+        for (k = s->ring_start[i]; k < s->ring_start[i + 1]; ++k)
+            for (r = 0; r < 3; ++r)
+                y[3 * (size_t)i + (size_t)r] +=
+                    s->ring_l[k] * (x[3 * (size_t)s->ring[k] + (size_t)r] - x[3 * (size_t)i + (size_t)r]);
+}
+
+/* 1/2 x.K x, J, summed so that only squares are added. */
+static sfem_real sfemi_smooth_energy(const sfemi_smooth *s, sfem_int nodes, const sfem_real *x)
+{
+    sfem_real energy = 0;
+    sfem_int c, k, i;
+    int r;
+    for (c = 0; c < s->cells; ++c) {
+        sfem_real g[9], p[9];
+        sfemi_smooth_gradient(s, c, x, g, 1);
+        energy += sfemi_law_stress(SFEM_LINEAR, s->lambda[c], s->mu[c], g, p);
+        for (r = 0; r < 9; ++r) energy -= s->stab[c] / 2 * g[r] * g[r];
+    }
+    for (i = 0; i < nodes; ++i)
+        for (k = s->ring_start[i]; k < s->ring_start[i + 1]; ++k)
+            for (r = 0; r < 3; ++r) {
+                const sfem_real d = x[3 * (size_t)s->ring[k] + (size_t)r] - x[3 * (size_t)i + (size_t)r];
+                energy -= s->ring_l[k] / 4 * d * d;
+            }
+    return energy;
+}
+
+/* The place of block (i, j), i >= j, in a matrix's pattern. */
+static sfem_int sfemi_smooth_find(const sfem_int *row, const sfem_int *col, sfem_int i, sfem_int j)
+{
+    sfem_int low = row[i], high = row[i + 1] - 1;
+    while (low < high) {
+        const sfem_int mid = low + (high - low) / 2;
+        if (col[mid] < j) low = mid + 1;
+        else high = mid;
+    }
+    return low;
+}
+
+/* to_add += the Hessian of cell c at displacements u (NULL: at rest). */
+static void sfemi_smooth_add_cell(const sfemi_smooth *s, sfem_int c, sfem_real lambda, const sfem_real *u,
+                                  sfem_tangent kind, const sfem_matrix *to_add)
+{
+    const sfem_int *row = to_add->row, *col = to_add->col;
+    sfem_real *val = to_add->val;
+    const int law = u ? (int)s->law[c / SFEMI_LANES] : (int)SFEM_LINEAR;
+    sfem_real grad[9] = {0, 0, 0, 0, 0, 0, 0, 0, 0}, df[9], dp[9];
+    sfemi_modes modes;
+    sfem_int a, b;
+    int axis, i;
+    if (u) sfemi_smooth_gradient(s, c, u, grad, 1);
+    sfemi_law_modes((sfem_law)law, lambda, s->mu[c], grad, kind, &modes);
+    for (b = s->start[c]; b < s->start[c + 1]; ++b)
+        for (axis = 0; axis < 3; ++axis) { /* what moving node b along an axis does */
+            memset(df, 0, sizeof df);
+            memcpy(df + 3 * axis, s->g + 3 * (size_t)b, 3 * sizeof *df);
+            sfemi_modes_apply(&modes, df, dp);
+            for (i = 0; i < 9; ++i) dp[i] -= s->stab[c] * df[i];
+            for (a = s->start[c]; a < s->start[c + 1]; ++a) {
+                const sfem_real *g = s->g + 3 * (size_t)a;
+                sfem_real *to;
+                if (s->node[a] < s->node[b]) continue;
+                to = val + 9 * (size_t)sfemi_smooth_find(row, col, s->node[a], s->node[b]);
+                for (i = 0; i < 3; ++i) to[3 * i + axis] += sfemi_dot3(dp + 3 * i, g);
+            }
+        }
+}
+
+/* to_add += the patches' part of K0, of its tangent at u. */
+static void sfemi_smooth_add_patches(const sfemi_smooth *s, const sfem_real *u, sfem_tangent kind,
+                                     const sfem_matrix *to_add)
+{
+    sfem_int c;
+    for (c = s->star_groups * SFEMI_LANES; c < s->cells; ++c)
+        if (s->start[c] < s->start[c + 1]) sfemi_smooth_add_cell(s, c, s->soft[c], u, kind, to_add);
+}
+
+/* val = K, of its tangent at u, on the pattern of sfemi_smooth_pattern. */
+static void sfemi_smooth_assemble(const sfemi_smooth *s, const sfem_real *u, sfem_tangent kind, sfem_matrix *out)
+{
+    sfem_int c, i, k;
+    int r;
+    memset(out->val, 0, 9 * (size_t)out->row[out->n] * sizeof *out->val);
+    for (c = 0; c < s->cells; ++c)
+        if (s->start[c] < s->start[c + 1]) sfemi_smooth_add_cell(s, c, s->lambda[c], u, kind, out);
+    for (i = 0; i < out->n; ++i)
+        for (k = s->ring_start[i]; k < s->ring_start[i + 1]; ++k) {
+            sfem_real *own = out->val + 9 * ((size_t)out->row[i + 1] - 1);
+            for (r = 0; r < 9; r += 4) own[r] -= s->ring_l[k];
+            if (s->ring[k] > i) continue;
+            own = out->val + 9 * (size_t)sfemi_smooth_find(out->row, out->col, i, s->ring[k]);
+            for (r = 0; r < 9; r += 4) own[r] += s->ring_l[k];
+        }
+}
+
+/* Pattern of a matrix that couples nodes of one cell, of cells from `first` on: 0 for K, the patches for K0. mark [n];
+ * col NULL: counts only. */
+static void sfemi_smooth_pattern(const sfemi_smooth *s, sfem_int first, sfem_int n, sfem_int *mark, sfem_int *row,
+                                 sfem_int *col)
+{
+    sfem_int i, j, k, at, to;
+    for (i = 0; i < n; ++i) mark[i] = -1;
+    for (row[0] = i = 0; i < n; ++i) {
+        sfem_int end = row[i];
+        for (k = s->in_start[i]; k < s->in_start[i + 1]; ++k) {
+            const sfem_int c = s->in_cell[k];
+            for (at = s->start[c]; c >= first && at < s->start[c + 1]; ++at) {
+                j = s->node[at];
+                if (j >= i || mark[j] == i) continue;
+                mark[j] = i;
+                for (to = end++; col && to > row[i] && col[to - 1] > j; --to) col[to] = col[to - 1];
+                if (col) col[to] = j;
+            }
+        }
+        if (col) col[end] = i;
+        row[i + 1] = end + 1;
+    }
+}
+
+#else /* no model has any: the same for NULL, the rest is never called */
+typedef struct sfemi_smooth {
+    sfem_int star_groups;
+    const sfem_real *lambda, *soft;
+    sfem_real poisson;
+} sfemi_smooth;
+static size_t sfemi_smooth_work_size(const sfemi_smooth *s, sfem_int nodes) { (void)s, (void)nodes; return 0; }
+static void sfemi_smooth_multiply(const sfemi_smooth *s, const sfem_real *lambda, sfem_int nodes, const sfem_real *x,
+                                  sfem_real *y)
+{
+    (void)s, (void)lambda, (void)nodes, (void)x, (void)y;
+}
+static sfem_real sfemi_smooth_energy(const sfemi_smooth *s, sfem_int nodes, const sfem_real *x)
+{
+    (void)s, (void)nodes, (void)x;
+    return 0;
+}
+static void sfemi_smooth_add_patches(const sfemi_smooth *s, const sfem_real *u, sfem_tangent kind,
+                                     const sfem_matrix *to_add)
+{
+    (void)s, (void)u, (void)kind, (void)to_add;
+}
+static void sfemi_smooth_assemble(const sfemi_smooth *s, const sfem_real *u, sfem_tangent kind, sfem_matrix *out)
+{
+    (void)s, (void)u, (void)kind, (void)out;
+}
+static void sfemi_smooth_pattern(const sfemi_smooth *s, sfem_int first, sfem_int n, sfem_int *mark, sfem_int *row,
+                                 sfem_int *col)
+{
+    (void)s, (void)first, (void)n, (void)mark, (void)row, (void)col;
+}
+#endif /* SFEM_NO_SMOOTH */
+
+/* ============================================================================================
  * >>fem   assembly, mass, damping, forces, tangents, loads, stress
  *
  * K, D and a consistent M live on one pattern: the node graph, lower half by rows. M is a scalar a
@@ -16889,7 +18365,6 @@ static const sfemi_polars_kernel sfemi_polars_path[] = SFEMI_PATHS(SFEMI_K);
  * one colour and add into the matrix at the same time. */
 #define SFEMI_CHUNK_TETS 256
 #define SFEMI_CHUNK_TASK 4     /* chunks a task */
-#define SFEMI_NODE_TASK  2048  /* nodes a task */
 
 typedef struct sfemi_chunks {
     sfem_int count, copies, colors;
@@ -16927,11 +18402,14 @@ struct sfem_model {
     sfem_real stiffest;        /* Pa, the largest lambda + 2 mu */
     sfem_real margin;          /* p for modes that steps do not resolve, by the laws, see SFEM_P_SAFE */
     sfemi_chunks chunks;
+    sfemi_smooth *smooth;      /* NULL: linear tets; else stiffness is K0, see >>smooth */
     sfem_real total_mass;
     int lock;                  /* guards what follows */
     sfem_int references;
     sfem_factor *factors;      /* those that bodies use now */
     sfem_real omega_max;       /* of the free body at rest, within a hundredth; 0: not known */
+    sfem_matrix wide;          /* smooth: K itself, once something has asked for it, */
+    sfem_matrix_upper wide_upper; /* and its columns */
 };
 
 SFEM_DEF sfem_material sfem_default_material(void)
@@ -16942,6 +18420,7 @@ SFEM_DEF sfem_material sfem_default_material(void)
     m.density = 1000;
     m.mass_damping = m.stiffness_damping = 0;
     m.law = SFEM_COROTATIONAL;
+    m.tet = SFEM_TET_LINEAR;
     return m;
 }
 
@@ -16974,6 +18453,21 @@ static sfem_status sfemi_fem_check_material(const sfem_material *m, sfem_int ind
     if ((unsigned)m->law > SFEM_NEOHOOKEAN)
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "material %d: there is no law %d", (int)index,
                           (int)m->law);
+    if ((unsigned)m->tet > SFEM_TET_SMOOTH)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "material %d: there is no tet %d", (int)index, (int)m->tet);
+    if (m->tet == SFEM_TET_SMOOTH && m->law == SFEM_STVK)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT,
+                          "material %d: smooth tets have no St. Venant-Kirchhoff law: take SFEM_NEOHOOKEAN",
+                          (int)index);
+    if (m->tet == SFEM_TET_SMOOTH && m->poisson < 0)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT,
+                          "material %d: smooth tets need a Poisson's ratio of at least 0, not %g: take SFEM_TET_LINEAR",
+                          (int)index, m->poisson);
+#ifdef SFEM_NO_SMOOTH
+    if (m->tet == SFEM_TET_SMOOTH)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT,
+                          "material %d: smooth tets: the library is compiled with SFEM_NO_SMOOTH", (int)index);
+#endif
     return SFEM_OK;
 }
 
@@ -17018,8 +18512,18 @@ static sfem_status sfemi_fem_check(const sfem_model_def *def, sfem_error *err)
     if (status != SFEM_OK) return status;
     if (count < 1) return sfemi_fail(err, SFEM_BAD_ARGUMENT, "material_count is %d", (int)count);
     for (i = 0; i < count; ++i) {
-        status = sfemi_fem_check_material(def->materials ? def->materials + i : &def->material, i, err);
+        const sfem_material *m = def->materials ? def->materials + i : &def->material;
+        const sfem_material *first = def->materials ? def->materials : m;
+        status = sfemi_fem_check_material(m, i, err);
         if (status != SFEM_OK) return status;
+        if (m->tet != first->tet)
+            return sfemi_fail(err, SFEM_BAD_ARGUMENT,
+                              "materials 0 and %d differ in their tets: all of a model must be linear or all smooth",
+                              (int)i);
+        if (m->tet == SFEM_TET_SMOOTH && m->stiffness_damping != first->stiffness_damping)
+            return sfemi_fail(err, SFEM_BAD_ARGUMENT,
+                              "materials 0 and %d differ in their stiffness damping: smooth tets need the same",
+                              (int)i);
     }
     for (i = 0; i < def->mesh->tets; ++i) {
         const sfem_int m = sfemi_fem_material_of(def, i);
@@ -17058,12 +18562,20 @@ static sfem_status sfemi_fem_pattern(sfem_model *model, sfem_error *err)
     sfemi_pool pool = sfemi_pool_of(&model->allocator);
     sfem_int *start, *list, *mark, i, a, e;
     sfem_status status = SFEM_OK;
+    const sfemi_smooth *smooth = model->smooth;
     if (mesh->tets > INT32_MAX / 10)
         return sfemi_fail(err, SFEM_TOO_LARGE, "%d tets overflow the index type", (int)mesh->tets);
     SFEMI_TAKE(sfem_int, start, &pool, (size_t)mesh->nodes + 2);
     SFEMI_TAKE(sfem_int, list, &pool, 4 * (size_t)mesh->tets);
     SFEMI_TAKE(sfem_int, mark, &pool, mesh->nodes);
     SFEMI_TAKE(sfem_int, model->row, &model->pool, (size_t)mesh->nodes + 1);
+    if (smooth) {
+        const sfem_int first = smooth->star_groups * SFEMI_LANES;
+        sfemi_smooth_pattern(smooth, first, mesh->nodes, mark, model->row, NULL);
+        SFEMI_TAKE(sfem_int, model->col, &model->pool, model->row[mesh->nodes]);
+        sfemi_smooth_pattern(smooth, first, mesh->nodes, mark, model->row, model->col);
+        goto done;
+    }
     for (i = 0; i < 4 * mesh->tets; ++i) ++start[mesh->tet[i] + 2];
     for (i = 0; i < mesh->nodes; ++i) start[i + 2] += start[i + 1];
     for (e = 0; e < mesh->tets; ++e)
@@ -17137,7 +18649,7 @@ static void sfemi_chunks_fill(const sfem_model *model, sfem_int e, int filler,
     sfemi_element_gradients(&model->mesh, e, g);
     for (i = 0; i < 9; ++i) block->shape[i][lane] = g[1 + i / 3][i % 3];
     for (i = 0; i < 4; ++i) block->node[i][lane] = 4 * local[t[i]];
-    block->lambda[lane] = filler ? 0 : model->volume[e] * model->lambda[e];
+    block->lambda[lane] = filler || model->smooth ? 0 : model->volume[e] * model->lambda[e];
     block->mu[lane] = filler ? 0 : model->volume[e] * model->mu[e];
     block->weight[lane] = filler ? 0 : sfemi_fem_weight(model, e);
     block->tet[lane] = e;
@@ -17295,7 +18807,7 @@ static void sfemi_fem_add_tet(sfem_model *model, sfem_int e, const sfem_material
             at = sfemi_fem_find(model->row, model->col, t[a], t[b]);
             place[a > b ? a * (a + 1) / 2 + b : b * (b + 1) / 2 + a] = at;
             kk = model->stiffness.val + 9 * (size_t)at;
-            sfemi_element_block(g[a], g[b], v * model->lambda[e], v * model->mu[e], k);
+            sfemi_element_block(g[a], g[b], model->smooth ? 0 : v * model->lambda[e], v * model->mu[e], k);
             for (i = 0; i < 9; ++i) kk[i] += k[i];
             if (model->block_mass) model->block_mass[at] += a == b ? 2 * node : node;
             if (!model->damping) continue;
@@ -17344,8 +18856,45 @@ static sfem_status sfemi_fem_add_damping(sfem_model *model, const sfem_matrix *d
 static void sfemi_fem_destroy(sfem_model *model)
 {
     sfem_matrix_upper_free(&model->upper);
+    sfem_matrix_upper_free(&model->wide_upper);
+    sfem_matrix_free(&model->wide);
     sfemi_pool_free(&model->pool);
 }
+
+#ifndef SFEM_NO_SMOOTH
+/* The first of the definition's materials that is as elastic as that of a tet: averages do not stop between equal
+ * ones. */
+static sfem_int sfemi_fem_elastic_of(const sfem_model_def *def, sfem_int tet)
+{
+    const sfem_int own = sfemi_fem_material_of(def, tet);
+    sfem_int k;
+    for (k = 0; k < own; ++k) {
+        const sfem_material *a = def->materials + k, *b = def->materials + own;
+        if (a->young == b->young && a->poisson == b->poisson && a->law == b->law) return k;
+    }
+    return own;
+}
+
+/* Stars and patches. */
+static sfem_status sfemi_fem_smooth(sfem_model *model, const sfem_model_def *def, sfem_error *err)
+{
+    sfem_int *of = NULL, e;
+    sfem_status status = SFEM_OK;
+    SFEMI_NEW(sfem_int, of, &model->allocator, model->mesh.tets);
+    for (e = 0; e < model->mesh.tets; ++e) of[e] = sfemi_fem_elastic_of(def, e);
+    SFEMI_TRY(sfemi_smooth_create(&model->mesh, def->materials ? def->materials : &def->material, of, &model->pool,
+                                  &model->smooth, err));
+done:
+    sfemi_delete(&model->allocator, of);
+    return status;
+}
+#else
+static sfem_status sfemi_fem_smooth(sfem_model *model, const sfem_model_def *def, sfem_error *err)
+{
+    (void)model, (void)def, (void)err;
+    return SFEM_OK;
+}
+#endif
 
 static sfem_status sfemi_fem_allocate(sfem_model *model, const sfem_model_def *def, sfem_error *err)
 {
@@ -17364,6 +18913,8 @@ static sfem_status sfemi_fem_allocate(sfem_model *model, const sfem_model_def *d
         SFEMI_TAKE(sfem_int, model->mesh.region, pool, mesh->tets);
         memcpy(model->mesh.region, mesh->region, (size_t)mesh->tets * sizeof *mesh->region);
     }
+    if ((def->materials ? def->materials : &def->material)->tet == SFEM_TET_SMOOTH)
+        SFEMI_TRY(sfemi_fem_smooth(model, def, err));
     SFEMI_TRY(sfemi_fem_pattern(model, err));
     blocks = (size_t)model->row[mesh->nodes];
     SFEMI_TAKE(sfem_real, model->stiffness.val, pool, 9 * blocks);
@@ -17406,6 +18957,8 @@ SFEM_DEF sfem_status sfem_model_create(const sfem_model_def *def, sfem_model **o
     }
     for (i = 0; i < model->mesh.tets; ++i)
         sfemi_fem_add_tet(model, i, materials + sfemi_fem_material_of(def, i));
+    if (model->smooth)
+        sfemi_smooth_add_patches(model->smooth, NULL, SFEM_TANGENT_EXACT, &model->stiffness);
     SFEMI_TRY(sfemi_chunks_build(model, err));
     for (i = 0; i < model->mesh.nodes; ++i) model->total_mass += model->node_mass[i];
     if (def->damping) SFEMI_TRY(sfemi_fem_add_damping(model, def->damping, err));
@@ -17456,6 +19009,27 @@ SFEM_DEF sfem_real sfem_model_total_mass(const sfem_model *model)
     return model->total_mass;
 }
 
+#ifndef SFEM_NO_SMOOTH
+SFEM_DEF sfem_smooth_info sfem_model_smooth_info(const sfem_model *model)
+{
+    SFEM_ASSERT(model);
+    sfem_smooth_info info;
+    memset(&info, 0, sizeof info);
+    if (!model->smooth) return info;
+    info.stars = model->smooth->stars;
+    info.patches = model->smooth->patches;
+    info.least = model->smooth->a;
+    info.bytes = model->smooth->bytes;
+    return info;
+}
+
+SFEM_DEF const sfem_int *sfem_model_smooth_patch(const sfem_model *model)
+{
+    SFEM_ASSERT(model);
+    return model->smooth ? model->smooth->patch : NULL;
+}
+#endif
+
 /* ---- units: what is seldom meant. The softest gels have some 10 Pa and rubber foam 5 to 50 kg/m^3, the stiffest and
  * densest stuff is diamond (1.2e12 Pa) and osmium (22 600 kg/m^3). ---- */
 
@@ -17503,8 +19077,8 @@ static void sfemi_advice_materials(const sfem_model *m, sfem_real across, sfemi_
     if (soft * 9.81 * across > 1)
         sfemi_advice_add(a, "a body of %.4g m with this density and modulus sinks into itself: its own weight is %.2g times the modulus",
                          across, soft * 9.81 * across);
-    if (poisson > 0.49)
-        sfemi_advice_add(a, "a Poisson ratio is %.4g: linear tets are far too stiff above 0.49", poisson);
+    if (poisson > 0.49 && !m->smooth)
+        sfemi_advice_add(a, "a Poisson ratio is %.4g: linear tets are far too stiff above 0.49, SFEM_TET_SMOOTH is not", poisson);
 }
 
 SFEM_DEF int sfem_model_advice(const sfem_model *model, sfem_real h, char *text, size_t size)
@@ -17545,6 +19119,23 @@ static void sfemi_fem_block(const sfem_model *model, sfem_int at, sfem_int i, sf
     if (model->damping && cd != 0)
         for (j = 0; j < 9; ++j) block[j] += cd * model->damping[9 * (size_t)at + (size_t)j];
 }
+
+#ifndef SFEM_NO_BODY
+/* K itself and its pattern; of smooth tets sfemi_fem_widen makes it. */
+static const sfem_matrix *sfemi_fem_exact(const sfem_model *model)
+{
+    return model->smooth ? &model->wide : &model->stiffness;
+}
+#endif
+
+#if !defined(SFEM_NO_BODY) || !defined(SFEM_NO_MODES)
+/* The place in the model's pattern of block (i, j) at `at` of that of sfemi_fem_exact; -1: M and the rest of D have
+ * nothing there. */
+static sfem_int sfemi_fem_narrow(const sfem_model *model, sfem_int at, sfem_int i, sfem_int j)
+{
+    return model->smooth ? sfemi_fem_find(model->row, model->col, i, j) : at;
+}
+#endif
 
 /* Arrays of a matrix of the given size, `size` numbers a block; on failure those made so far are in *a, to be
  * freed. */
@@ -17589,11 +19180,74 @@ done:
     return status;
 }
 
+SFEM_DEF sfem_status sfem_model_assemble_stiffness(const sfem_model *model, const sfem_allocator *allocator,
+                                                   sfem_matrix *out, sfem_error *err)
+{
+    SFEM_ASSERT(model && out);
+    static const sfem_allocator standard = {0, 0, 0};
+    const sfem_allocator *al = allocator ? allocator : &standard;
+    const sfemi_smooth *s = model->smooth;
+    const sfem_int n = model->mesh.nodes;
+    sfem_int *row = NULL, *col = NULL, *mark = NULL, *count = NULL;
+    sfem_matrix a;
+    sfem_status status = SFEM_OK;
+    if (!s) return sfem_model_combine(model, 1, 0, 0, allocator, out, err);
+    memset(&a, 0, sizeof a);
+    SFEMI_NEW(sfem_int, mark, al, n);
+    SFEMI_NEW(sfem_int, count, al, (size_t)n + 1);
+    sfemi_smooth_pattern(s, 0, n, mark, count, NULL);
+    SFEMI_TRY(sfemi_fem_new_matrix(n, (size_t)count[n], 9, al, &row, &col, &a, err));
+    sfemi_smooth_pattern(s, 0, n, mark, row, col);
+    sfemi_smooth_assemble(s, NULL, SFEM_TANGENT_EXACT, &a);
+    *out = a;
+done:
+    if (status != SFEM_OK) sfem_matrix_free(&a);
+    sfemi_delete(al, mark);
+    sfemi_delete(al, count);
+    return status;
+}
+
+#ifndef SFEM_NO_BODY
+/* Makes K itself of smooth tets, once for the model. */
+static sfem_status sfemi_fem_widen(sfem_model *model, sfem_error *err)
+{
+    sfem_matrix wide;
+    sfem_matrix_upper upper;
+    sfem_status status;
+    int ready;
+    if (!model->smooth) return SFEM_OK;
+    sfemi_lock(&model->lock);
+    ready = model->wide.val != NULL;
+    sfemi_unlock(&model->lock);
+    if (ready) return SFEM_OK;
+    status = sfem_model_assemble_stiffness(model, &model->allocator, &wide, err);
+    if (status != SFEM_OK) return status;
+    status = sfem_matrix_upper_create(&wide, &model->allocator, &upper, err);
+    if (status != SFEM_OK) {
+        sfem_matrix_free(&wide);
+        return status;
+    }
+    sfemi_lock(&model->lock);
+    ready = model->wide.val != NULL;
+    if (!ready) {
+        model->wide_upper = upper;
+        model->wide = wide;
+        model->wide.upper = &model->wide_upper;
+    }
+    sfemi_unlock(&model->lock);
+    if (!ready) return SFEM_OK; /* else another thread was faster */
+    sfem_matrix_free(&wide);
+    sfem_matrix_upper_free(&upper);
+    return SFEM_OK;
+}
+#endif
+
 SFEM_DEF void sfem_model_multiply_stiffness(const sfem_model *model, const sfem_real *x, sfem_real *y,
                                             const sfem_exec *exec)
 {
     SFEM_ASSERT(model && x && y);
-    sfem_matrix_multiply(&model->stiffness, x, y, exec);
+    if (model->smooth) sfemi_smooth_multiply(model->smooth, model->smooth->lambda, model->mesh.nodes, x, y);
+    else sfem_matrix_multiply(&model->stiffness, x, y, exec);
 }
 
 /* y += scale M x. */
@@ -17655,7 +19309,7 @@ SFEM_DEF void sfem_model_multiply_damping(const sfem_model *model, const sfem_re
     SFEM_ASSERT(model && x && y);
     const size_t n = 3 * (size_t)model->mesh.nodes;
     size_t i;
-    sfem_matrix_multiply(&model->stiffness, x, y, exec);
+    sfem_model_multiply_stiffness(model, x, y, exec);
     for (i = 0; i < n; ++i) y[i] *= model->beta;
     sfemi_fem_add_mass(model, model->alpha, x, y);
     sfemi_fem_add_damping_rest(model, x, y);
@@ -17667,6 +19321,7 @@ SFEM_DEF void sfem_model_multiply_damping(const sfem_model *model, const sfem_re
 typedef struct sfemi_forces {
     const sfem_real *u;       /* [nodes][3] displacements, m */
     sfem_precision precision; /* of the kernels */
+    int soft;                 /* smooth tets: with the lambda of steps, see SFEMI_SMOOTH_POISSON */
     sfem_real *force;         /* [nodes][3] N, never NULL */
     sfem_real *rotation;      /* [tets][9] */
     sfem_real *sum;           /* [nodes][9] the tets' rotations times their weights, added up by nodes; with */
@@ -17754,8 +19409,55 @@ SFEM_DEF size_t sfem_model_work_size(const sfem_model *model)
 {
     SFEM_ASSERT(model);
     const sfemi_chunks *c = &model->chunks;
+    if (model->smooth) return sfemi_smooth_work_size(model->smooth, model->mesh.nodes);
     return 4 * (size_t)c->copies + 2 * (size_t)c->count + 4 * (size_t)c->most * (size_t)sfemi_forces_tasks(c);
 }
+
+#ifndef SFEM_NO_SMOOTH
+/* The tets' own rotations, and how many are inverted, of smooth tets: where the caller looks, a step does not. */
+static void sfemi_fem_smooth_tets(const sfem_model *model, const sfemi_forces *ask)
+{
+    sfem_int e, turned = 0;
+    for (e = 0; e < model->mesh.tets && (ask->rotation || ask->inverted); ++e) {
+        const sfem_int *t = model->mesh.tet + 4 * (size_t)e;
+        const sfem_real *u = ask->u;
+        sfem_real g[4][3], f[9], c[9];
+        int i;
+        sfemi_element_gradients(&model->mesh, e, g);
+        sfemi_element_deform(u + 3 * (size_t)t[0], u + 3 * (size_t)t[1], u + 3 * (size_t)t[2], u + 3 * (size_t)t[3],
+                             g, f);
+        for (i = 0; i < 9; i += 4) f[i] += 1;
+        sfemi_cofactor3(f, c);
+        turned += sfemi_dot3(f, c) <= 0;
+        if (!ask->rotation) continue;
+        if (model->law[e] != SFEM_LINEAR) sfemi_element_rotation(f, SFEMI_TINY_F, ask->rotation + 9 * (size_t)e);
+        else
+            for (i = 0; i < 9; ++i) ask->rotation[9 * (size_t)e + (size_t)i] = i % 4 == 0;
+    }
+    if (ask->inverted) *ask->inverted = turned;
+}
+
+static sfem_real sfemi_fem_smooth_forces(const sfem_model *model, const sfemi_forces *ask)
+{
+    sfemi_smooth_forces job;
+    memset(&job, 0, sizeof job);
+    job.smooth = model->smooth;
+    job.lambda = ask->soft ? model->smooth->soft : model->smooth->lambda;
+    job.u = ask->u;
+    job.force = ask->force;
+    job.sum = ask->sum;
+    job.nodes = model->mesh.nodes;
+    job.stiffest = model->stiffest;
+    sfemi_fem_smooth_tets(model, ask);
+    return sfemi_smooth_run(&job, ask->precision, ask->work, ask->exec);
+}
+#else
+static sfem_real sfemi_fem_smooth_forces(const sfem_model *model, const sfemi_forces *ask)
+{
+    (void)model, (void)ask;
+    return 0;
+}
+#endif
 
 /* Energy and internal force of the elements of `block`: the model's, or a body's own copy in which tets that it treats
  * otherwise are masked. */
@@ -17765,6 +19467,7 @@ static sfem_real sfemi_fem_forces(const sfem_model *model, const sfemi_block *bl
     sfem_real energy = 0, turned = 0;
     sfemi_forces_job job;
     sfem_int k;
+    if (model->smooth) return sfemi_fem_smooth_forces(model, ask);
     job.ask = ask;
     job.model = model;
     job.block = block;
@@ -17859,6 +19562,10 @@ static void sfemi_fem_tangent(const sfem_model *model, const sfemi_block *block,
     sfemi_tangents job;
     sfem_int n;
     SFEM_ASSERT(u && tangent && tangent->n == model->mesh.nodes);
+    if (model->smooth && tangent->row[tangent->n] != model->row[tangent->n]) {
+        sfemi_smooth_assemble(model->smooth, u, kind, tangent);
+        return;
+    }
     SFEM_ASSERT(tangent->row[tangent->n] == model->row[tangent->n]);
     job.model = model;
     job.block = block;
@@ -17871,6 +19578,7 @@ static void sfemi_fem_tangent(const sfem_model *model, const sfemi_block *block,
         job.chunk = c->color_chunk + c->color_start[n];
         sfemi_run(exec, c->color_start[n + 1] - c->color_start[n], sfemi_tangents_chunk, &job);
     }
+    if (model->smooth) sfemi_smooth_add_patches(model->smooth, u, kind, tangent);
 }
 
 SFEM_DEF void sfem_model_tangent(const sfem_model *model, const sfem_real *u, sfem_tangent kind,
@@ -17880,22 +19588,99 @@ SFEM_DEF void sfem_model_tangent(const sfem_model *model, const sfem_real *u, sf
     sfemi_fem_tangent(model, model->chunks.block, u, kind, tangent, exec);
 }
 
-/* P F^T / J of a tet. */
-static void sfemi_fem_cauchy(const sfem_model *model, sfem_int e, sfem_real g[4][3], const sfem_real *u,
-                             sfem_real s[6])
+/* P F^T / J. */
+static void sfemi_fem_cauchy_of(sfem_law law, sfem_real lambda, sfem_real mu, const sfem_real f[9], sfem_real s[6])
 {
     static const int row[6] = {0, 1, 2, 0, 1, 0}, col[6] = {0, 1, 2, 1, 2, 2};
-    const sfem_int *t = model->mesh.tet + 4 * (size_t)e;
-    sfem_real f[9], p[9], n[3], j;
-    int a, i, k;
-    for (i = 0; i < 9; ++i)
-        for (f[i] = i % 4 == 0, a = 0; a < 4; ++a) f[i] += u[3 * (size_t)t[a] + (size_t)(i / 3)] * g[a][i % 3];
-    (void)sfem_law_stress((sfem_law)model->law[e], model->lambda[e], model->mu[e], f, p);
+    sfem_real p[9], n[3], j;
+    int k;
+    (void)sfem_law_stress(law, lambda, mu, f, p);
     sfemi_cross(f, f + 3, n);
     j = sfemi_dot3(n, f + 6);
     for (k = 0; k < 6; ++k)
         s[k] = sfemi_dot3(p + 3 * row[k], f + 3 * col[k]) / fmax(j, 0.1);
 }
+
+/* The same of a tet. */
+static void sfemi_fem_cauchy(const sfem_model *model, sfem_int e, sfem_real g[4][3], const sfem_real *u,
+                             sfem_real s[6])
+{
+    const sfem_int *t = model->mesh.tet + 4 * (size_t)e;
+    sfem_real f[9];
+    int a, i;
+    for (i = 0; i < 9; ++i)
+        for (f[i] = i % 4 == 0, a = 0; a < 4; ++a) f[i] += u[3 * (size_t)t[a] + (size_t)(i / 3)] * g[a][i % 3];
+    sfemi_fem_cauchy_of((sfem_law)model->law[e], model->lambda[e], model->mu[e], f, s);
+}
+
+#ifndef SFEM_NO_SMOOTH
+/* s += weight times the stress that Lame's parameters make of the gradient of cell c. */
+static void sfemi_fem_add_cell_stress(const sfem_model *model, sfem_int c, const sfem_real *u, sfem_real lambda,
+                                      sfem_real mu, sfem_real weight, sfem_real s[6])
+{
+    const int law = model->smooth->law[c / SFEMI_LANES];
+    sfem_real f[9], own[6];
+    int k;
+    sfemi_smooth_gradient(model->smooth, c, u, f, 1);
+    if (law == SFEM_LINEAR) {
+        const sfem_real strain[6] = {f[0], f[4], f[8], f[1] + f[3], f[5] + f[7], f[2] + f[6]};
+        sfemi_element_hooke(lambda, mu, strain, own);
+    } else {
+        for (k = 0; k < 9; k += 4) f[k] += 1;
+        sfemi_fem_cauchy_of((sfem_law)law, lambda, mu, f, own);
+    }
+    for (k = 0; k < 6; ++k) s[k] += weight * own[k];
+}
+
+/* Of a smooth tet: the mean of its nodes' shear stresses, and the volume part of its patch. */
+static void sfemi_fem_smooth_stress(const sfem_model *model, sfem_int e, const sfem_real *u, sfem_real s[6])
+{
+    const sfem_int *cell = model->smooth->tet_cell + 5 * (size_t)e;
+    int a;
+    memset(s, 0, 6 * sizeof *s);
+    for (a = 0; a < 4; ++a) sfemi_fem_add_cell_stress(model, cell[a], u, 0, model->mu[e], 0.25, s);
+    sfemi_fem_add_cell_stress(model, cell[4], u, model->lambda[e], 0, 1, s);
+}
+
+SFEM_DEF void sfem_model_smooth_stress(const sfem_model *model, const sfem_real *u, sfem_real *node_stress,
+                                       sfem_real *pressure)
+{
+    SFEM_ASSERT(model && u && model->smooth);
+    const sfemi_smooth *smooth = model->smooth;
+    sfem_int e, c, i, k;
+    int a, j;
+    for (e = 0; pressure && e < model->mesh.tets; ++e) {
+        sfem_real s[6] = {0, 0, 0, 0, 0, 0};
+        sfemi_fem_add_cell_stress(model, smooth->tet_cell[5 * e + 4], u, model->lambda[e], model->mu[e], 1, s);
+        pressure[smooth->patch[e]] = -(s[0] + s[1] + s[2]) / 3;
+    }
+    if (!node_stress) return;
+    memset(node_stress, 0, 6 * (size_t)model->mesh.nodes * sizeof *node_stress);
+    for (c = 0; c < smooth->star_groups * SFEMI_LANES; ++c)
+        if (smooth->start[c] < smooth->start[c + 1])
+            sfemi_fem_add_cell_stress(model, c, u, 0, smooth->mu[c] / smooth->volume[c], smooth->volume[c],
+                                      node_stress + 6 * (size_t)smooth->node[smooth->start[c]]);
+    for (e = 0; e < model->mesh.tets; ++e) {
+        sfem_real s[6] = {0, 0, 0, 0, 0, 0};
+        sfemi_fem_add_cell_stress(model, smooth->tet_cell[5 * e + 4], u, model->lambda[e], 0, model->volume[e] / 4, s);
+        for (a = 0; a < 4; ++a)
+            for (j = 0; j < 6; ++j) node_stress[6 * (size_t)model->mesh.tet[4 * e + a] + (size_t)j] += s[j];
+    }
+    for (i = 0; i < model->mesh.nodes; ++i) {
+        sfem_real volume = 0;
+        for (k = smooth->in_start[i]; k < smooth->in_start[i + 1]; ++k) {
+            c = smooth->in_cell[k];
+            if (c < smooth->star_groups * SFEMI_LANES && sfemi_smooth_owns(smooth, c, i)) volume += smooth->volume[c];
+        }
+        for (j = 0; j < 6 && volume > 0; ++j) node_stress[6 * (size_t)i + (size_t)j] /= volume;
+    }
+}
+#else
+static void sfemi_fem_smooth_stress(const sfem_model *model, sfem_int e, const sfem_real *u, sfem_real s[6])
+{
+    (void)model, (void)e, (void)u, (void)s;
+}
+#endif
 
 SFEM_DEF void sfem_model_stress(const sfem_model *model, const sfem_real *u, sfem_real *stress,
                                 sfem_real *von_mises)
@@ -17904,8 +19689,10 @@ SFEM_DEF void sfem_model_stress(const sfem_model *model, const sfem_real *u, sfe
     sfem_int e;
     for (e = 0; e < model->mesh.tets; ++e) {
         sfem_real g[4][3], strain[6], s[6];
-        sfemi_element_gradients(&model->mesh, e, g);
-        if (model->law[e] == SFEM_LINEAR) {
+        if (!model->smooth) sfemi_element_gradients(&model->mesh, e, g);
+        if (model->smooth) {
+            sfemi_fem_smooth_stress(model, e, u, s);
+        } else if (model->law[e] == SFEM_LINEAR) {
             sfemi_element_strain(model->mesh.tet + 4 * (size_t)e, g, u, strain);
             sfemi_element_hooke(model->lambda[e], model->mu[e], strain, s);
         } else {
@@ -17926,6 +19713,7 @@ SFEM_DEF sfem_real sfem_model_elastic_energy(const sfem_model *model, const sfem
     sfem_real energy = 0;
     sfem_int e;
     int i;
+    if (model->smooth) return sfemi_smooth_energy(model->smooth, model->mesh.nodes, u);
     for (e = 0; e < model->mesh.tets; ++e) {
         sfem_real g[4][3], strain[6], s[6], density = 0;
         sfemi_element_gradients(&model->mesh, e, g);
@@ -20137,6 +21925,7 @@ static void sfemi_damage_total_tangent(const sfemi_damage *d, const sfem_real *u
 typedef struct sfemi_factor_key {
     sfem_real ck, cm, cd;
     int upper_bound; /* ck times the isotropic upper bound in place of K */
+    int exact;       /* smooth tets: K itself in place of K0 */
     const unsigned char *mask; /* [nodes] axes held */
     sfem_precision precision;
     sfem_ordering ordering;
@@ -20159,7 +21948,7 @@ struct sfem_factor {
 static int sfemi_factor_matches(const sfem_factor *f, const sfemi_factor_key *key, uint64_t hash)
 {
     return f->key.ck == key->ck && f->key.cm == key->cm && f->key.cd == key->cd &&
-           f->key.upper_bound == key->upper_bound && f->key.precision == key->precision &&
+           f->key.upper_bound == key->upper_bound && f->key.exact == key->exact && f->key.precision == key->precision &&
            f->key.ordering == key->ordering && f->hash == hash;
 }
 
@@ -20286,9 +22075,13 @@ done:
 static void sfemi_factor_block(const sfem_model *model, const sfem_factor *f, const sfem_real *upper_bound,
                                sfem_int at, sfem_int i, sfem_real b[9])
 {
-    const sfem_int j = model->col[at];
+    const sfem_matrix *k = f->key.exact ? sfemi_fem_exact(model) : &model->stiffness;
+    const sfem_int j = k->col[at], narrow = f->key.exact ? sfemi_fem_narrow(model, at, i, j) : at;
     int r, c;
-    sfemi_fem_block(model, at, i, upper_bound ? 0 : f->key.ck, f->key.cm, f->key.cd, b);
+    memset(b, 0, 9 * sizeof *b);
+    if (narrow >= 0)
+        sfemi_fem_block(model, narrow, i, upper_bound || f->key.exact ? 0 : f->key.ck, f->key.cm, f->key.cd, b);
+    for (r = 0; f->key.exact && r < 9; ++r) b[r] += f->key.ck * k->val[9 * (size_t)at + (size_t)r];
     for (r = 0; upper_bound && r < 9; r += 4) b[r] += f->key.ck * upper_bound[at];
     for (r = 0; r < 3; ++r)
         for (c = 0; c < 3; ++c)
@@ -20300,6 +22093,7 @@ static sfem_status sfemi_factor_matrix(const sfem_model *model, const sfem_facto
                                        sfem_error *err)
 {
     const sfem_allocator *al = &model->allocator;
+    const sfem_matrix *p = f->key.exact ? sfemi_fem_exact(model) : &model->stiffness;
     sfem_int *number = NULL, *row = NULL, *col = NULL, k, at, blocks = 0;
     sfem_real *upper_bound = NULL, block[9];
     sfem_matrix a;
@@ -20309,14 +22103,14 @@ static sfem_status sfemi_factor_matrix(const sfem_model *model, const sfem_facto
     SFEMI_NEW(sfem_int, number, al, model->mesh.nodes); /* 1 + its row, 0: not free */
     for (k = 0; k < f->free_nodes; ++k) number[f->node[k]] = k + 1;
     for (k = 0; k < f->free_nodes; ++k)
-        for (at = model->row[f->node[k]]; at < model->row[f->node[k] + 1]; ++at)
-            blocks += number[model->col[at]] > 0;
+        for (at = p->row[f->node[k]]; at < p->row[f->node[k] + 1]; ++at)
+            blocks += number[p->col[at]] > 0;
     SFEMI_TRY(sfemi_fem_new_matrix(f->free_nodes, (size_t)blocks, f->scalar ? 1 : 9, al, &row, &col, &a, err));
     blocks = 0;
     for (k = 0; k < f->free_nodes; ++k) {
-        for (at = model->row[f->node[k]]; at < model->row[f->node[k] + 1]; ++at) {
-            if (number[model->col[at]] == 0) continue;
-            col[blocks] = number[model->col[at]] - 1;
+        for (at = p->row[f->node[k]]; at < p->row[f->node[k] + 1]; ++at) {
+            if (number[p->col[at]] == 0) continue;
+            col[blocks] = number[p->col[at]] - 1;
             sfemi_factor_block(model, f, upper_bound, at, f->node[k], block);
             if (f->scalar) a.val[blocks++] = block[0];
             else memcpy(a.val + 9 * (size_t)blocks++, block, sizeof block);
@@ -20385,6 +22179,7 @@ static sfem_status sfemi_factor_make(sfem_model *model, const sfemi_factor_key *
     sfem_status status = SFEM_OK;
     sfem_int i, k = 0;
     int c;
+    if (key->exact) SFEMI_TRY(sfemi_fem_widen(model, err));
     SFEMI_NEW(sfem_factor, f, al, 1);
     SFEMI_NEW(unsigned char, f->mask, al, nodes);
     memcpy(f->mask, key->mask, nodes);
@@ -21122,6 +22917,7 @@ static sfem_status sfemi_system_open(sfem_body *b, const sfemi_factor_key *key, 
                                      sfem_error *err)
 {
     const sfem_model *model = b->model;
+    const sfem_matrix *p;
     sfemi_system s;
     sfem_status status = SFEM_OK;
     sfem_int k, at, count = 0;
@@ -21129,10 +22925,11 @@ static sfem_status sfemi_system_open(sfem_body *b, const sfemi_factor_key *key, 
     SFEMI_TRY(sfemi_factor_make(b->model, key, &b->exec, &s.factor, err));
     ++b->factors_made;
     SFEMI_TRY(sfemi_factor_matrix(model, s.factor, &s.matrix, err));
+    p = key->exact ? sfemi_fem_exact(model) : &model->stiffness;
     SFEMI_NEW(sfem_int, s.source, &model->allocator, (size_t)s.matrix.row[s.matrix.n] + 1);
     for (k = 0; k < s.factor->free_nodes; ++k)
-        for (at = model->row[s.factor->node[k]]; at < model->row[s.factor->node[k] + 1]; ++at)
-            if (s.factor->mask[model->col[at]] != SFEM_AXIS_ALL) s.source[count++] = at;
+        for (at = p->row[s.factor->node[k]]; at < p->row[s.factor->node[k] + 1]; ++at)
+            if (s.factor->mask[p->col[at]] != SFEM_AXIS_ALL) s.source[count++] = at;
     *out = s;
     return SFEM_OK;
 done:
@@ -21590,7 +23387,7 @@ static void sfemi_body_residual(sfem_body *b, const sfem_real load[3], int with_
 {
     const sfem_model *model = b->model;
     size_t i;
-    sfem_matrix_multiply(&model->stiffness, b->zk, b->rhs, &b->exec);
+    sfem_model_multiply_stiffness(model, b->zk, b->rhs, &b->exec);
     sfemi_body_take_from_load(b, load, b->rhs, b->rhs);
     if (with_mass) sfemi_fem_add_mass(model, -1, b->zm, b->rhs);
     if (model->damping) {
@@ -21953,7 +23750,7 @@ static sfem_real sfemi_implicit_forces(sfem_body *b, const sfem_real *u, sfem_re
     size_t i;
     if (!sfemi_implicit_linear(b->model))
         return sfem_model_forces(b->model, u, SFEM_DOUBLE, f, NULL, NULL, b->implicit.work, &b->exec);
-    sfem_matrix_multiply(&b->model->stiffness, u, f, &b->exec);
+    sfem_model_multiply_stiffness(b->model, u, f, &b->exec);
     for (i = 0; i < n; ++i) energy += u[i] * f[i];
     return energy / 2;
 }
@@ -21975,16 +23772,18 @@ static int sfemi_implicit_damped(const sfem_body *b)
 static sfem_status sfemi_implicit_reserve(sfem_body *b, sfem_error *err)
 {
     const sfem_model *model = b->model;
-    const size_t values = 9 * (size_t)model->row[model->mesh.nodes];
     sfemi_implicit *m = &b->implicit;
     sfem_real *tangent = NULL, *drag = NULL;
     sfem_status status = SFEM_OK;
+    size_t values;
     if (m->ready) return SFEM_OK;
+    SFEMI_TRY(sfemi_fem_widen(b->model, err));
+    values = 9 * (size_t)sfemi_fem_exact(model)->row[model->mesh.nodes];
     if (!sfemi_implicit_linear(model)) SFEMI_NEW(sfem_real, tangent, &b->allocator, values);
     if (b->def.damping_force.tangent) SFEMI_NEW(sfem_real, drag, &b->allocator, values);
     m->ready = 1;
     SFEMI_TRY(sfemi_workspace_reserve(b, err));
-    m->tangent = m->drag = model->stiffness;
+    m->tangent = m->drag = *sfemi_fem_exact(model);
     if (tangent) m->tangent.val = tangent;
     m->drag.val = drag;
     return SFEM_OK;
@@ -22000,7 +23799,7 @@ static void sfemi_implicit_destroy(sfem_body *b)
     sfemi_implicit *m = &b->implicit;
     sfemi_system_close(b, &m->system);
     sfemi_factor_release(b->model, m->second);
-    if (m->ready && m->tangent.val != b->model->stiffness.val)
+    if (m->ready && m->tangent.val != sfemi_fem_exact(b->model)->val)
         sfemi_delete(&b->allocator, m->tangent.val);
     sfemi_delete(&b->allocator, m->drag.val);
 }
@@ -22008,10 +23807,11 @@ static void sfemi_implicit_destroy(sfem_body *b)
 static size_t sfemi_implicit_bytes(const sfem_body *b)
 {
     const sfemi_implicit *m = &b->implicit;
-    const size_t values = 9 * (size_t)b->model->row[b->model->mesh.nodes];
     size_t reals = 0;
     if (m->ready) {
-        if (m->tangent.val != b->model->stiffness.val) reals += values;
+        const sfem_matrix *k = sfemi_fem_exact(b->model);
+        const size_t values = 9 * (size_t)k->row[k->n];
+        if (m->tangent.val != k->val) reals += values;
         if (m->drag.val) reals += values;
     }
     if (m->system.matrix.val) reals += 9 * (size_t)m->system.matrix.row[m->system.matrix.n];
@@ -22070,6 +23870,7 @@ static sfemi_factor_key sfemi_implicit_key(const sfem_body *b, int k, sfem_real 
     key.ck = s.w1 * (1 + s.c1 * b->beta);
     key.cm = s.m1 * s.c2 + s.w1 * s.c1 * b->alpha;
     key.cd = b->model->damping ? s.w1 * s.c1 : 0;
+    key.exact = b->model->smooth != NULL;
     key.mask = b->mask;
     key.precision = b->def.precision;
     key.ordering = b->def.ordering;
@@ -22386,7 +24187,8 @@ static sfem_status sfemi_newton_factor(sfem_body *b, sfemi_newton *t, sfem_tange
     const sfemi_stage *s = &m->stage;
     const sfem_model *model = b->model;
     const sfemi_system *y = t->system;
-    const size_t values = 9 * (size_t)model->row[model->mesh.nodes];
+    const sfem_matrix *p = sfemi_fem_exact(model);
+    const size_t values = 9 * (size_t)p->row[p->n];
     sfem_int k, at = 0;
     sfem_error place;
     sfem_status status;
@@ -22402,9 +24204,10 @@ static sfem_status sfemi_newton_factor(sfem_body *b, sfemi_newton *t, sfem_tange
         const sfem_int i = y->factor->node[k];
         for (; at < y->matrix.row[k + 1]; ++at) {
             const size_t from = 9 * (size_t)y->source[at];
-            const sfem_int j = model->col[y->source[at]];
+            const sfem_int j = p->col[y->source[at]], narrow = sfemi_fem_narrow(model, y->source[at], i, j);
             const int held = y->factor->mask[i] | y->factor->mask[j];
-            const sfem_real mass = model->block_mass ? model->block_mass[y->source[at]]
+            const sfem_real mass = narrow < 0          ? 0
+                                   : model->block_mass ? model->block_mass[narrow]
                                    : i == j       ? model->node_mass[i]
                                                   : 0;
             const sfem_real ck = s->w1 * (1 + s->c1 * b->beta), cd = s->w1 * s->c1;
@@ -22412,15 +24215,15 @@ static sfem_status sfemi_newton_factor(sfem_body *b, sfemi_newton *t, sfem_tange
             sfem_real *to = y->matrix.val + 9 * (size_t)at;
             for (c = 0; c < 9; ++c) to[c] = ck * m->tangent.val[from + (size_t)c];
             for (c = 0; c < 9; c += 4) to[c] += cm;
-            if (model->damping && cd != 0)
-                for (c = 0; c < 9; ++c) to[c] += cd * model->damping[from + (size_t)c];
+            if (model->damping && cd != 0 && narrow >= 0)
+                for (c = 0; c < 9; ++c) to[c] += cd * model->damping[9 * (size_t)narrow + (size_t)c];
             if (m->drag.val && cd != 0)
                 for (c = 0; c < 9; ++c) to[c] += cd * m->drag.val[from + (size_t)c];
             for (r = 0; held && r < 3; ++r)
                 for (c = 0; c < 3; ++c) {
                     if (!(y->factor->mask[i] >> r & 1) && !(y->factor->mask[j] >> c & 1)) continue;
                     if (i != j || r != c) to[3 * r + c] = 0;
-                    else to[3 * r + c] = model->stiffness.val[from + (size_t)(4 * r)];
+                    else to[3 * r + c] = p->val[from + (size_t)(4 * r)];
                 }
         }
     }
@@ -23068,6 +24871,8 @@ static void sfemi_pqr_predict(sfem_body *b)
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     const int damped = b->alpha != 0 || b->beta != 0 || b->zd != NULL;
     const sfem_real *base = sfemi_pqr_base(b), *w = sfemi_body_way(b);
+    /* smooth tets: what A's K0 is applied to, which is not what K is; without a factor of K itself */
+    sfem_real *own = b->model->smooth && !b->scheme.newmark ? b->spare : b->zk;
     int with_mass, c;
     sfem_int j;
     size_t i;
@@ -23078,6 +24883,10 @@ static void sfemi_pqr_predict(sfem_body *b)
     for (i = 0; i < n; ++i) {
         const sfem_real dv = damped ? t.cd * w[i] - t.ca * s->a[i] : 0;
         b->zk[i] = s->u[i] - t.ck * w[i] + t.cka * s->a[i] + b->beta * dv;
+        if (own != b->zk) {
+            own[i] = -t.ck * w[i];
+            b->zk[i] = s->u[i] + b->beta * dv;
+        }
         b->zm[i] = b->alpha * dv + t.am * s->a[i];
         if (b->zd) b->zd[i] = dv;
         b->acc[i] = 0;
@@ -23089,13 +24898,16 @@ static void sfemi_pqr_predict(sfem_body *b)
             if (!(b->mask[b->pin[j]] >> c & 1)) continue;
             a = (1 - t.am) * ((s->pin[j].target[c] - b->model->mesh.x[i] - s->u[i]) / h - base[i]) / t.d;
             b->acc[i] = a;
-            b->zk[i] += (b->p * h + b->scheme.q / 2 * b->beta) * h * a;
+            own[i] += (b->p * h + b->scheme.q / 2 * b->beta) * h * a;
             b->zm[i] += (b->scheme.r + b->scheme.q / 2 * h * b->alpha) * a;
             if (b->zd) b->zd[i] += b->scheme.q / 2 * h * a;
             with_mass |= b->model->block_mass != NULL && a != 0;
         }
     }
     sfemi_body_residual(b, t.load, with_mass);
+    if (own == b->zk) return;
+    sfem_matrix_multiply(&b->model->stiffness, own, own + n, &b->exec);
+    for (i = 0; i < n; ++i) b->rhs[i] -= own[n + i];
 }
 
 static void sfemi_pqr_solve(sfem_body *b)
@@ -23829,8 +25641,19 @@ static void sfemi_rotated_frames(sfem_body *b, sfem_real *frame)
     sfemi_rotated_share_frames(b, frame);
 }
 
-/* y += P^T Q (K_frac - K) Q^T P z in the frames of the state: what breaks take from damping by K. z is
- * overwritten. */
+/* sum = (K - what stands for it in A) z of smooth tets. */
+static void sfemi_fracture_smooth(sfem_body *b, const sfem_real *z, sfem_real *sum)
+{
+    const sfem_model *model = b->model;
+    sfem_real *kz = b->safeguard.trial_f;
+    size_t i;
+    sfemi_smooth_multiply(model->smooth, model->smooth->soft, model->mesh.nodes, z, sum);
+    sfem_matrix_multiply(b->refactor.live ? b->refactor.k + b->refactor.live - 1 : &model->stiffness, z, kz, &b->exec);
+    for (i = 0; i < 3 * (size_t)model->mesh.nodes; ++i) sum[i] -= kz[i];
+}
+
+/* y += P^T Q (K_frac - K) Q^T P z in the frames of the state: what breaks take from damping by K, or what smooth tets
+ * have less than A. z is overwritten. */
 static void sfemi_fracture_soften(sfem_body *b, sfem_real *z, sfem_real *y)
 {
     const sfem_int nodes = b->model->mesh.nodes;
@@ -23838,15 +25661,16 @@ static void sfemi_fracture_soften(sfem_body *b, sfem_real *z, sfem_real *y)
     const int projects = sfemi_rotated_projects(b);
     sfem_real *sum = b->rotated.v;
     size_t i;
-    if (!sfemi_damage_tets(b->damage)) return;
+    if (!b->model->smooth && !sfemi_damage_tets(b->damage)) return;
     if (projects) {
         sfemi_rotated_motion(b, u, z, 1);
         sfemi_rotated_add_motion(b, u, -1, 0, z);
     }
     sfemi_rotated_rotate(frame, nodes, 1, z, z);
     memset(sum, 0, 3 * (size_t)nodes * sizeof *sum);
-    sfemi_damage_multiply(b->damage, z, sum);
-    if (b->refactor.live) { /* what was left when the factor was made is out already */
+    if (b->model->smooth) sfemi_fracture_smooth(b, z, sum);
+    else sfemi_damage_multiply(b->damage, z, sum);
+    if (b->refactor.live && !b->model->smooth) { /* what was left when the factor was made is out already */
         sfem_real *kz = b->safeguard.trial_f;
         sfem_matrix_multiply(&b->model->stiffness, z, kz, &b->exec);
         for (i = 0; i < 3 * (size_t)nodes; ++i) sum[i] += kz[i];
@@ -23918,6 +25742,7 @@ done:
 /* Is what A holds of K another matrix than K? */
 static int sfemi_resume_bounded(const sfem_body *b)
 {
+    if (b->model->smooth && !b->scheme.newmark) return 1;
     return b->scheme.rotates && (sfemi_damage_tets(b->damage) > 0 || b->refactor.live || b->def.frame == SFEM_FRAME_ISOTROPIC);
 }
 
@@ -24010,12 +25835,14 @@ static void sfemi_resume_multiply(sfem_body *b, const sfemi_inertia *t, const sf
     size_t i;
     if (bounded && b->def.frame == SFEM_FRAME_ISOTROPIC) sfemi_factor_multiply_upper_bound(model, x, y);
     else if (own == 0) memset(y, 0, n * sizeof *y);
-    else sfem_matrix_multiply(bounded && b->refactor.live ? b->refactor.k + b->refactor.live - 1 : &model->stiffness,
-                              x, y, &b->exec);
+    else if (bounded)
+        sfem_matrix_multiply(b->refactor.live ? b->refactor.k + b->refactor.live - 1 : &model->stiffness, x, y,
+                             &b->exec);
+    else sfem_model_multiply_stiffness(model, x, y, &b->exec);
     for (i = 0; i < n; ++i) y[i] *= own;
     if (bounded) {
-        sfem_matrix_multiply(&model->stiffness, x, z, &b->exec);
-        sfemi_damage_multiply(b->damage, x, z);
+        sfem_model_multiply_stiffness(model, x, z, &b->exec);
+        if (b->damage) sfemi_damage_multiply(b->damage, x, z);
         for (i = 0; i < n; ++i) y[i] += t->k * z[i];
     }
     sfemi_fem_add_mass(model, t->m, x, y);
@@ -24494,7 +26321,7 @@ static void sfemi_resume_bridge_correct(sfem_body *b, sfem_real *a)
     size_t i;
     sfemi_resume_bridge_constrain(b, a);
     if (c != 0 && (b->alpha != 0 || b->beta != 0 || b->zd)) {
-        sfem_matrix_multiply(&model->stiffness, a, x, &b->exec);
+        sfem_model_multiply_stiffness(model, a, x, &b->exec);
         for (i = 0; i < n; ++i) x[i] *= c * b->beta;
         sfemi_fem_add_mass(model, c * b->alpha, a, x);
         for (i = 0; b->zd && i < n; ++i) y[i] = c * a[i];
@@ -24653,6 +26480,7 @@ static sfem_real sfemi_safeguard_forces(sfem_body *b, const sfem_real *u, sfem_r
     memset(&ask, 0, sizeof ask);
     ask.u = u;
     ask.precision = b->def.precision;
+    ask.soft = 1;
     ask.force = f;
     ask.work = b->rotated.work;
     ask.exec = &b->exec;
@@ -24871,6 +26699,7 @@ typedef struct sfemi_equation {
     sfem_real before, after; /* of w and w' in the velocity that is damped */
     int fallback;            /* momenta are put right when it is solved, not by each step */
     sfem_real moving;        /* in a fallback: kinetic energy at the start. S may be that of a collapse long past */
+    int touches;             /* >>contact: impulses are among the loads, and change */
 } sfemi_equation;
 
 /* The equation of the step under way, and the forces of the past in it: guard.known. */
@@ -24885,7 +26714,7 @@ static void sfemi_correct_open(sfem_body *b, sfemi_equation *q)
     const sfem_real k3 = h1 * (0.5 - gamma + beta) / t.d;
     const sfem_real now = k1 * a + k2 * (h1 > 0 ? 1 - a : 1), past = h1 > 0 ? k2 * a + k3 * (1 - a) : 0;
     size_t i;
-    q->fallback = 0;
+    q->fallback = q->touches = 0;
     q->moving = 0;
     q->h = h2;
     q->d = t.d;
@@ -24978,7 +26807,7 @@ static void sfemi_safeguard_predict(sfem_body *b)
             }
         sfemi_rotated_stiffness(b, s->u, s->frame, b->zk, b->zd, b->rhs);
         for (i = 0; i < n; ++i) b->rhs[i] += force[i];
-        for (i = 0; b->damage && i < n; ++i) b->zk[i] = b->beta * t.cd * s->w[i];
+        for (i = 0; (b->damage || model->smooth) && i < n; ++i) b->zk[i] = b->beta * t.cd * s->w[i];
         if (b->beta != 0) sfemi_fracture_soften(b, b->zk, b->rhs);
     } else {
         memcpy(b->rhs, force, n * sizeof *b->rhs);
@@ -25264,7 +27093,7 @@ static void sfemi_correct_add_damping(sfem_body *b, const sfemi_equation *q, con
         if (b->zd) b->zd[i] = v;
     }
     sfemi_rotated_stiffness(b, b->state.u, b->state.frame, b->zk, b->zd, force);
-    if (b->damage && b->beta != 0) {
+    if ((b->damage || b->model->smooth) && b->beta != 0) {
         for (i = 0; i < n; ++i) b->zk[i] = b->beta * (q->before * w[i] + q->after * w1[i]);
         sfemi_fracture_soften(b, b->zk, force);
     }
@@ -25624,6 +27453,8 @@ static sfem_real sfemi_correct_search(sfem_body *b, const sfemi_equation *q, sfe
         for (i = 0; i < n; ++i) {
             const sfem_real d = g->w[i] - b->state.w[i];
             most += b->model->node_mass[i / 3] * d * d / (2 * q->d);
+            if (q->touches && b->model->node_mass[i / 3] > 0) /* what these can lower it by */
+                most += b->kick[i] * b->kick[i] / (2 * q->d * b->model->node_mass[i / 3]);
         }
         most += sfemi_correct_springs(b, g->w, 1, b->schur.lambda) / q->h;
         if (slope > 2 * most) length = 2 * most / slope; /* tets stretched a thousandfold are 1e12 times as stiff */
@@ -26161,45 +27992,46 @@ done:
     return status;
 }
 
-/* The step in place of a rejected one, to guard. */
-static sfem_status sfemi_safeguard_fall_back(sfem_body *b, sfem_error *err)
+/* Iterations of a fallback with the rotated factor and with the isotropic one. */
+enum { SFEMI_FALLBACK_MOST = 20, SFEMI_FALLBACK_LONGEST = 80 };
+
+/* The equation of a fallback, where it starts from; returns the tolerance of its iteration. */
+static sfem_real sfemi_safeguard_open_fallback(sfem_body *b, sfemi_equation *q)
 {
-    enum { MOST = 20, LONGEST = 80 };
     static const sfem_real at_start[3] = {0, 1, 0};
     sfemi_safeguard *g = &b->safeguard;
-    sfemi_state_head *head = b->state.head;
+    const sfemi_state_head *head = b->state.head;
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     const sfemi_safeguard_energies there =
         sfemi_safeguard_measure(b, b->state.u, b->state.w, b->state.f, head->psi, b->step.h);
-    /* what has moved before is no measure where most of it has been lost since */
-    const sfem_real tolerance = 0.01 * fmin(head->scale, head->psi + there.kinetic + there.floor);
-    sfemi_equation q;
-    sfem_real excess, above;
-    sfem_status status = SFEM_OK;
     size_t i;
-    q.fallback = 1;
-    q.moving = there.kinetic + there.floor;
-    q.h = q.d = b->step.h;
-    q.end = q.after = 1;
-    q.before = 0;
+    q->fallback = 1;
+    q->touches = 0;
+    q->moving = there.kinetic + there.floor;
+    q->h = q->d = b->step.h;
+    q->end = q->after = 1;
+    q->before = 0;
     memset(g->known, 0, n * sizeof *g->known);
     memset(g->external, 0, n * sizeof *g->external);
     sfemi_body_take_from_load(b, at_start, g->external, g->external);
     sfemi_safeguard_spread_impulses(b);
     for (i = 0; i < n; ++i) g->external[i] += g->added[i];
     sfemi_safeguard_keep_momentum(b);
-    sfemi_safeguard_start_fallback(b, &q);
-    (void)sfemi_correct_iterate(b, &q, sfemi_body_active(b), MOST, tolerance);
-    if (!g->converged) {
-        SFEMI_TRY(sfemi_safeguard_prepare_isotropic(b, err));
-        sfemi_safeguard_find_columns(b, g->isotropic);
-        (void)sfemi_correct_iterate(b, &q, g->isotropic, LONGEST, 0.01 * tolerance); /* too stiff to tell */
-    }
-    if (!g->converged) SFEMI_TRY(sfemi_safeguard_descend(b, &q, tolerance, err));
+    sfemi_safeguard_start_fallback(b, q);
+    /* what has moved before is no measure where most of it has been lost since */
+    return 0.01 * fmin(head->scale, head->psi + there.kinetic + there.floor);
+}
+
+/* After its iteration: momenta and energy as they have to be. */
+static void sfemi_safeguard_close_fallback(sfem_body *b, const sfemi_equation *q)
+{
+    sfemi_safeguard *g = &b->safeguard;
+    sfemi_state_head *head = b->state.head;
+    sfem_real excess, above;
     if (b->schur.count) { /* what rounding has left of the handles' gaps after so many steps */
         sfemi_safeguard_constrain(b);
-        sfemi_correct_evaluate(b, &q);
-        sfemi_correct_residual(b, &q, g->w, g->f, g->grad);
+        sfemi_correct_evaluate(b, q);
+        sfemi_correct_residual(b, q, g->w, g->f, g->grad);
     }
     sfemi_safeguard_restore_momentum(b, 1);
     excess = sfemi_safeguard_excess(b);
@@ -26209,11 +28041,29 @@ static sfem_status sfemi_safeguard_fall_back(sfem_body *b, sfem_error *err)
         excess = sfemi_safeguard_excess(b);
     }
     if (!sfemi_finite(excess) || excess > 1e-9 * head->scale) {
-        sfemi_safeguard_freeze(b, &q);
+        sfemi_safeguard_freeze(b, q);
         excess = sfemi_safeguard_excess(b); /* of a body that tumbles: its inertia is less about the new axis */
         if (excess > 0) sfemi_safeguard_slow_down(b, excess, 1);
     }
     head->budget += sfemi_safeguard_fallback_work(b);
+}
+
+/* The step in place of a rejected one, to guard. */
+static sfem_status sfemi_safeguard_fall_back(sfem_body *b, sfem_error *err)
+{
+    enum { MOST = SFEMI_FALLBACK_MOST, LONGEST = SFEMI_FALLBACK_LONGEST };
+    sfemi_safeguard *g = &b->safeguard;
+    sfemi_equation q;
+    sfem_status status = SFEM_OK;
+    const sfem_real tolerance = sfemi_safeguard_open_fallback(b, &q);
+    (void)sfemi_correct_iterate(b, &q, sfemi_body_active(b), MOST, tolerance);
+    if (!g->converged) {
+        SFEMI_TRY(sfemi_safeguard_prepare_isotropic(b, err));
+        sfemi_safeguard_find_columns(b, g->isotropic);
+        (void)sfemi_correct_iterate(b, &q, g->isotropic, LONGEST, 0.01 * tolerance); /* too stiff to tell */
+    }
+    if (!g->converged) SFEMI_TRY(sfemi_safeguard_descend(b, &q, tolerance, err));
+    sfemi_safeguard_close_fallback(b, &q);
 done:
     if (sfemi_schur_rows(&b->schur)) sfemi_body_forget_columns(b);
     return status;
@@ -26828,6 +28678,7 @@ static double sfemi_refactor_tangent(sfem_body *b)
     chunk = job.chunk[r->next];
     sfemi_tangents_chunk(&job, r->next);
     if (++r->next == c->count) {
+        if (b->model->smooth) sfemi_smooth_add_patches(b->model->smooth, r->u, job.kind, r->k + (r->live == 1));
         r->stage = SFEMI_REFACTOR_TURN;
         r->next = 0;
     }
@@ -27173,6 +29024,10 @@ static void sfemi_linear_conserved(sfem_body *b, sfem_energy *e)
     for (i = 0; i < n; ++i)
         load_w += s->w[i] * (force[i] + model->node_mass[i / 3] * s->head->gravity[i % 3]);
     /* with u- = u - h w: (E + E-)/2 = E - h/2 u.Kw + h^2/4 w.Kw and (u-u-).(f-f-) = h^2 w.Kw */
+    if (model->smooth) { /* A has K0 */
+        sfem_matrix_multiply(&model->stiffness, s->w, b->zk, &b->exec);
+        wkw = sfemi_dot(n, s->w, b->zk);
+    }
     e->conserved = b->scheme.r / 2 * sfemi_dot(n, s->w, b->zm) + b->p * h * h / 2 * wkw + e->elastic -
                    h / 2 * sfemi_dot(n, s->u, b->rhs) + e->load + h / 2 * load_w;
 }
@@ -27626,6 +29481,22 @@ done:
     return status;
 }
 
+/* What bodies of smooth tets cannot do. */
+static sfem_status sfemi_body_check_smooth(const sfem_body *b, const sfem_body_def *def, sfem_error *err)
+{
+    if (!b->model->smooth) return SFEM_OK;
+    if (def->damage)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "bodies of smooth tets cannot break yet: take SFEM_TET_LINEAR");
+    if (b->scheme.lagging)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT,
+                          "KR-alpha needs the exact K in its factor, which smooth tets do not have: take SFEM_PQR, "
+                          "whose def.dissipation damps fast modes, or SFEM_GENERALIZED_ALPHA");
+    if (def->damping_force.tangent)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT,
+                          "with smooth tets a damping force has no tangent: its pattern is not that of the factor");
+    return SFEM_OK;
+}
+
 SFEM_DEF sfem_status sfem_body_create(sfem_model *model, const sfem_body_def *def, sfem_body **out,
                                       sfem_error *err)
 {
@@ -27656,6 +29527,7 @@ SFEM_DEF sfem_status sfem_body_create(sfem_model *model, const sfem_body_def *de
         status = sfemi_fail(err, SFEM_BAD_ARGUMENT, "a body that breaks steps by SFEM_PQR or SFEM_CENTRAL");
         goto done;
     }
+    SFEMI_TRY(sfemi_body_check_smooth(b, def, err));
     if (def->damage && model->block_mass) {
         status = sfemi_fail(err, SFEM_BAD_ARGUMENT, "a body that breaks steps with lumped mass only");
         goto done;
@@ -27750,7 +29622,7 @@ static sfem_status sfemi_body_choose_p(sfem_body *b, sfem_real h, sfem_real *p, 
         return SFEM_OK;
     }
     *p = b->scheme.newmark ? b->def.beta : b->scheme.central ? 0 : b->def.p;
-    if (*p == SFEM_P_AUTO && !b->model->rotates && b->omega_max * h < 2) *p = 1.0 / 12;
+    if (*p == SFEM_P_AUTO && !b->model->rotates && !b->model->smooth && b->omega_max * h < 2) *p = 1.0 / 12;
     if (*p < 0) {
         *p = b->scheme.rotates == SFEMI_CORRECTS ? sfemi_safeguard_weight(b) : b->model->margin;
         *p = fmax(*p, sfemi_fracture_least_p(b));
@@ -27822,6 +29694,7 @@ SFEM_DEF sfem_status sfem_body_prepare(sfem_body *b, sfem_real h, sfem_error *er
         key.cd = b->model->damping ? b->scheme.q / 2 * h : 0;
         key.mask = b->mask;
         key.upper_bound = b->scheme.rotates && b->def.frame == SFEM_FRAME_ISOTROPIC;
+        key.exact = b->model->smooth && b->scheme.newmark; /* one solve is all there is */
         key.precision = b->def.precision;
         key.ordering = b->def.ordering;
         status = sfemi_factor_get(b->model, &key, &b->exec, &f, &b->factors_made, err);
@@ -28002,22 +29875,12 @@ static sfem_status sfemi_body_solve_again(sfem_body *b, sfem_error *err)
     return status == SFEM_OK ? sfem_body_solve(b, err) : status;
 }
 
-SFEM_DEF sfem_status sfem_body_finish(sfem_body *b, sfem_error *err)
+/* Takes the step that was accepted. */
+static void sfemi_body_take(sfem_body *b)
 {
     sfemi_schur *g = &b->schur;
-    sfem_status status;
     sfem_int i;
-    SFEM_ASSERT(b && b->phase == SFEMI_SOLVED);
-    if (b->is_late) {
-        status = sfemi_body_solve_again(b, err);
-        if (status != SFEM_OK) return status;
-    }
     b->phase = SFEMI_IDLE;
-    status = b->scheme.method->accept(b, err);
-    if (status != SFEM_OK) {
-        sfemi_body_undo(b);
-        return status;
-    }
     b->begun = 0;
     for (i = 0; i < sfemi_schur_rows(g); ++i) sfem_body_handle_position(b, g->slot[i], g->place + 3 * i);
     if (b->damage) sfemi_fracture_round(b);
@@ -28036,6 +29899,23 @@ SFEM_DEF sfem_status sfem_body_finish(sfem_body *b, sfem_error *err)
     sfemi_sleep_watch(b);
     sfemi_refactor_follow(b);
     sfemi_refactor_advance(b);
+}
+
+SFEM_DEF sfem_status sfem_body_finish(sfem_body *b, sfem_error *err)
+{
+    sfem_status status;
+    SFEM_ASSERT(b && b->phase == SFEMI_SOLVED);
+    if (b->is_late) {
+        status = sfemi_body_solve_again(b, err);
+        if (status != SFEM_OK) return status;
+    }
+    b->phase = SFEMI_IDLE;
+    status = b->scheme.method->accept(b, err);
+    if (status != SFEM_OK) {
+        sfemi_body_undo(b);
+        return status;
+    }
+    sfemi_body_take(b);
     return SFEM_OK;
 }
 
@@ -28724,6 +30604,9 @@ SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *b)
     info.solves = b->state.head->solves;
     info.evaluations = b->state.head->evaluations;
     info.corrections = b->safeguard.corrections;
+    for (i = 0; i < info.tets; ++i)
+        info.poisson = fmax(info.poisson, b->model->lambda[i] / (2 * (b->model->lambda[i] + b->model->mu[i])));
+    if (b->model->smooth && b->scheme.rotates) info.poisson = b->model->smooth->poisson;
     info.body_bytes = (size_t)b->state.head->saved.size + sizeof *b + sfem_workspace_bytes(&b->own) +
                       (size_t)info.nodes * sizeof *b->mask + (size_t)b->pin_count * sizeof *b->pin;
     info.body_bytes += (size_t)b->def.max_handles * ((12 * (size_t)b->def.max_handles + 6) * sizeof(sfem_real) +
@@ -28873,6 +30756,2960 @@ SFEM_DEF void sfem_body_heal(sfem_body *b)
     b->phase = SFEMI_IDLE;
 }
 
+#endif /* SFEM_NO_DAMAGE */
+
+#ifndef SFEM_NO_CONTACT
+/* ============================================================================================
+ * >>contact   bodies against obstacles: rows, compliance, cones, the step of all bodies
+ *
+ * A row is one contact: a point of a body, between up to three of its nodes, and a plane of an obstacle. In the axes
+ * (n, t1, t2) of the plane, with J the weights and w' the mean velocity of the step,
+ *     v = J w' + bias:   v_n = (gap(x') - least)/h + c l_n     v_t = sliding on the obstacle
+ *     0 <= l_n, v_n >= 0, l_n v_n = 0                          |l_t| <= mu l_n, opposite to v_t
+ * `least` is 0, or below it for a point that starts inside: such a one is pushed out slowly.
+ *
+ * COMPLIANCE. dw' = A^-1 J^T l, A = Q A0 Q^T, where Q rotates each node and A0 is the rest pose's: its columns are the
+ * model's, floats, kept (sfemi_columns). In node frames l~ = Q^T l, v~ = Q^T v the system is G = (A0^-1) itself, and rows
+ * alone rotate. What the projection of rigid motions adds to A^-1 (>>rotated), 3 to 18 % of v, is left out of G: it is but
+ * the metric of an iteration in which every change of l goes through a solve.
+ *
+ * THE STEP of a body (the corrected one, see >>safeguard):
+ *   1. the trial with the impulses of the last step; rows of what it touches at its end or on its way; cones by G;
+ *      a += A^-1 J^T dl/d, at most three times
+ *   2. r = r_free - J^T l/d.  A correction: p = B r; cones at w' - p;  r -= J^T dl/d;  w' -= t (B r + rigid part of dl).
+ *      The search along it has the impulses fixed: its potential falls, whatever friction is
+ *   3. the energy budget has l.J (w + w')/2. Where it is exceeded, backward Euler's step by the same iteration
+ * ============================================================================================ */
+
+enum { SFEMI_CONTACT_PARTS = 4 }; /* nodes of a row: three of a face against an obstacle; four of two bodies' features */
+
+/* Triangles of an obstacle, and a tree of boxes over them. */
+typedef struct sfemi_shell_box {
+    sfem_real low[3], high[3];
+    sfem_int first, count; /* triangles of a leaf; of an inner box count is 0, its parts are the next and `first` */
+} sfemi_shell_box;
+
+typedef struct sfemi_shell {
+    sfem_int nodes, triangles, boxes;
+    sfem_real *x;      /* [nodes][3] */
+    sfem_int *tri;     /* [triangles][3], in the order of the leaves */
+    sfem_real *face;   /* [triangles][3] normals, of length 1; */
+    sfem_real *side;   /* [triangles][3][3] of the edges from corner k to k + 1; 0: a rim */
+    sfem_real *corner; /* [nodes][3] */
+    sfemi_shell_box *box;
+    int closed;
+} sfemi_shell;
+
+typedef struct sfemi_obstacle {
+    int used;
+    int stirred; /* moved, new or changed since the last step: those who sleep on it wake */
+    sfem_obstacle_def def;
+    sfem_real velocity[3], angular[3];
+    sfem_real from[3], from_axes[9], to[3], to_axes[9]; /* pose at the start and the end of the step */
+    sfemi_shell *shell;
+    sfem_real *heights;
+    sfem_real safe;   /* distances are at least this part of what is told */
+    sfem_real reach;  /* no part of it is farther from its position; < 0: no such bound */
+    sfem_real force[3], torque[3];
+} sfemi_obstacle;
+
+typedef struct sfemi_row {
+    sfem_int feature; /* a node, or nodes + number of a triangle of the surface */
+    sfem_int obstacle, parts, node[SFEMI_CONTACT_PARTS];
+    sfem_real weight[SFEMI_CONTACT_PARTS];
+    int fresh;        /* of this step */
+    int pushed;       /* starts inside */
+    sfem_real friction, compliance;
+    sfem_real bounce; /* m/s at which it is to leave, by restitution; 0: none */
+    sfem_real local_place[3], local_normal[3]; /* the plane in the obstacle's axes, and in space at the end of the step: */
+    sfem_real place[3], axes[9], speed[3];     /* axes: n, t1, t2; speed of the obstacle there */
+    sfem_real least;
+    sfem_real impulse[3], force[3]; /* N s of this step, N of the last one taken; in space */
+    sfem_real change[3]; /* of the impulse in the last system */
+    sfem_real position[3], gap;     /* after the step */
+    /* in a system: */
+    sfem_int at[SFEMI_CONTACT_PARTS];      /* numbers of its nodes there */
+    sfem_real rotated[SFEMI_CONTACT_PARTS][9]; /* v += turn v~ */
+    sfem_real d[9], inverse[9], soft, bias[3], l[3];
+} sfemi_row;
+
+/* Columns of A0^-1 of one factor, between nodes that may touch. */
+typedef struct sfemi_columns {
+    struct sfemi_columns *next;
+    sfem_model *model;
+    sfem_factor *factor;
+    int owned;          /* a reference to it is held; else it is a body's own refactored one, of the stamp */
+    int64_t stamp;
+    sfem_int users;
+    sfem_int surface, *index; /* nodes that may touch; their numbers by node, or -1 */
+    sfem_int *node;           /* [surface] */
+    float **at;               /* [surface] [3][3 surface]: columns of three axes, or NULL */
+    int64_t *used;            /* [surface] the step in which they last were */
+} sfemi_columns;
+
+typedef struct sfemi_touch { /* a body */
+    int used;
+    sfem_body *body;
+    sfem_contact_surface contact;
+    sfem_int nodes, *node;     /* those that may touch */
+    sfem_int triangles, *tri;  /* of the surface */
+    int whole;                 /* all nodes may */
+    sfem_int *row_of;          /* [mesh nodes] scratch: -1 */
+    sfem_real edge;            /* m, mean of the surface */
+    sfem_real *x0, *x1;        /* [nodes][3] at the start and the end of the step */
+    sfemi_row *row;
+    sfem_int rows, room;
+    sfemi_columns *columns;
+    /* the step under way */
+    int sleep, asleep, rests;  /* rests: it goes on sleeping */
+    int fallback, done;
+    int lost;                  /* corrections have diverged: the step is to be rejected */
+    sfem_real arriving;        /* J, what the body brings to the contacts along their normal */
+    sfemi_equation q;
+    sfem_real tolerance, first, last, rate, cheap, decrement;
+    sfem_real change, size;    /* J, of the impulses in the last system, and theirs */
+    sfem_real expected;        /* J, dl.G dl of all rows together */
+    sfem_real budget;
+    const sfem_factor *factor; /* of the corrections */
+    sfem_real *owed;           /* [6 pieces] momenta of impulses that w' does not have yet */
+    sfem_int owed_room;
+} sfemi_touch;
+
+typedef struct sfemi_contact_node {
+    sfem_int body, node;
+    sfem_int first, count; /* of its body in the system */
+    float *g;              /* [3][3 count] */
+} sfemi_contact_node;
+
+struct sfem_contact {
+    sfem_contact_def def;
+    sfemi_obstacle *obstacle;
+    sfem_int obstacles, obstacle_room;
+    sfemi_touch *touch;
+    sfem_int touches, touch_room;
+    sfemi_columns *columns;
+    size_t column_bytes;
+    int64_t step;
+    sfem_contact_info info;
+    sfem_contact_point *point;
+    sfem_int points, point_room;
+    /* a system of cones */
+    sfemi_row **list;
+    sfem_int rows, list_room;
+    sfemi_contact_node *node;
+    sfem_int nodes, node_room;
+    sfem_real *v, *v0;     /* [nodes][3] after and before the sweeps */
+    float *g;
+    size_t g_room, v_room, v0_room;
+    /* scratch, [mesh nodes][3] of the largest body */
+    sfem_real *w, *x, *y, *rhs, *work;
+    size_t vector_room, x_room, y_room, rhs_room, work_room;
+    sfem_real *lambda;
+    size_t lambda_room;
+};
+
+/* ---- memory ---- */
+
+/* Room for `count` elements of `size` bytes in *array; what was there stays. */
+static sfem_status sfemi_contact_grow(const sfem_allocator *al, void **array, size_t *room, size_t count, size_t size,
+                                      sfem_error *err)
+{
+    size_t more = count + count / 2;
+    void *p;
+    if (count <= *room) return SFEM_OK;
+    p = sfemi_new(al, more, size);
+    if (!p) return sfemi_fail(err, SFEM_OUT_OF_MEMORY, "out of memory: contacts");
+    if (*array) memcpy(p, *array, *room * size);
+    sfemi_delete(al, *array);
+    *array = p;
+    *room = more;
+    return SFEM_OK;
+}
+
+/* The same, of counts in an sfem_int. */
+static sfem_status sfemi_contact_grow_list(const sfem_allocator *al, void **array, sfem_int *room, sfem_int count,
+                                           size_t size, sfem_error *err)
+{
+    size_t r = (size_t)*room;
+    const sfem_status status = sfemi_contact_grow(al, array, &r, (size_t)count, size, err);
+    *room = (sfem_int)r;
+    return status;
+}
+
+#define SFEMI_CONTACT_LIST(c, array, room, count)                                                    \
+    do {                                                                                             \
+        void *sfemi_list_ = (array);                                                                 \
+        status = sfemi_contact_grow_list(&(c)->def.allocator, &sfemi_list_, &(room), (count), sizeof *(array), err); \
+        memcpy((void *)&(array), (void *)&sfemi_list_, sizeof sfemi_list_);                          \
+        if (status != SFEM_OK) goto done;                                                            \
+    } while (0)
+#define SFEMI_CONTACT_ROOM(c, array, room, count)                                                    \
+    do {                                                                                             \
+        void *sfemi_list_ = (array);                                                                 \
+        status = sfemi_contact_grow(&(c)->def.allocator, &sfemi_list_, &(room), (count), sizeof *(array), err); \
+        memcpy((void *)&(array), (void *)&sfemi_list_, sizeof sfemi_list_);                          \
+        if (status != SFEM_OK) goto done;                                                            \
+    } while (0)
+
+/* ---- obstacles ---- */
+
+static sfem_real sfemi_obstacle_capsule(const sfem_real size[3], const sfem_real y[3], sfem_real n[3])
+{
+    const sfem_real z = y[2] > size[1] ? size[1] : y[2] < -size[1] ? -size[1] : y[2];
+    const sfem_real d[3] = {y[0], y[1], y[2] - z}, length = sqrt(sfemi_dot3(d, d));
+    int c;
+    for (c = 0; c < 3; ++c) n[c] = length > 0 ? d[c] / length : c == 0;
+    return length - size[0];
+}
+
+/* Outside of faces at `over` 0: towards the nearest point; inside: the nearest face. over and sign [axes]. */
+static sfem_real sfemi_obstacle_corner(const sfem_real *over, int axes, sfem_real *away)
+{
+    sfem_real sum = 0;
+    int k, nearest = 0;
+    for (k = 0; k < axes; ++k) {
+        if (over[k] > 0) sum += over[k] * over[k];
+        if (over[k] > over[nearest]) nearest = k;
+    }
+    sum = sqrt(sum);
+    for (k = 0; k < axes; ++k) away[k] = sum > 0 ? fmax(over[k], 0.0) / sum : k == nearest;
+    return sum > 0 ? sum : over[nearest];
+}
+
+static sfem_real sfemi_obstacle_box(const sfem_real size[3], const sfem_real y[3], sfem_real n[3])
+{
+    const sfem_real over[3] = {fabs(y[0]) - size[0], fabs(y[1]) - size[1], fabs(y[2]) - size[2]};
+    const sfem_real s = sfemi_obstacle_corner(over, 3, n);
+    int c;
+    for (c = 0; c < 3; ++c)
+        if (y[c] < 0) n[c] = -n[c];
+    return s;
+}
+
+static sfem_real sfemi_obstacle_cylinder(const sfem_real size[3], const sfem_real y[3], sfem_real n[3])
+{
+    const sfem_real r = sqrt(y[0] * y[0] + y[1] * y[1]), over[2] = {r - size[0], fabs(y[2]) - size[1]};
+    sfem_real away[2];
+    const sfem_real s = sfemi_obstacle_corner(over, 2, away);
+    n[0] = r > 0 ? away[0] * y[0] / r : away[0];
+    n[1] = r > 0 ? away[0] * y[1] / r : 0;
+    n[2] = y[2] < 0 ? -away[1] : away[1];
+    return s;
+}
+
+/* ---- obstacles of triangles ----
+ *
+ * The nearest point of a surface by a tree of boxes; its side by the normal of the feature that it lies on, a face, an edge
+ * (sum of its faces') or a vertex (weighted by angles) [Baerentzen, Aanaes 2005], which is right for closed surfaces.
+ * Rims of open ones have no normal: what is nearest to them is outside. */
+
+static void sfemi_shell_free(const sfem_allocator *al, sfemi_shell *s)
+{
+    if (!s) return;
+    sfemi_delete(al, s->x);
+    sfemi_delete(al, s->tri);
+    sfemi_delete(al, s->face);
+    sfemi_delete(al, s->side);
+    sfemi_delete(al, s->corner);
+    sfemi_delete(al, s->box);
+    sfemi_delete(al, s);
+}
+
+/* Weights [3] of the point of a triangle that is nearest to p [Ericson 2005, 5.1.5]; returns where: 0 inside, 1 + k on the
+ * edge from k to k + 1, 4 + k at corner k. */
+static int sfemi_shell_nearest(const sfem_real *a, const sfem_real *b, const sfem_real *c, const sfem_real p[3],
+                               sfem_real weight[3])
+{
+    sfem_real ab[3], ac[3], ap[3], bp[3], cp[3], va, vb, vc, t;
+    sfem_real d1, d2, d3, d4, d5, d6;
+    sfemi_sub3(b, a, ab);
+    sfemi_sub3(c, a, ac);
+    sfemi_sub3(p, a, ap);
+    sfemi_sub3(p, b, bp);
+    sfemi_sub3(p, c, cp);
+    d1 = sfemi_dot3(ab, ap), d2 = sfemi_dot3(ac, ap);
+    d3 = sfemi_dot3(ab, bp), d4 = sfemi_dot3(ac, bp);
+    d5 = sfemi_dot3(ab, cp), d6 = sfemi_dot3(ac, cp);
+    weight[0] = weight[1] = weight[2] = 0;
+    if (d1 <= 0 && d2 <= 0) return weight[0] = 1, 4;
+    if (d3 >= 0 && d4 <= d3) return weight[1] = 1, 5;
+    if (d6 >= 0 && d5 <= d6) return weight[2] = 1, 6;
+    vc = d1 * d4 - d3 * d2;
+    if (vc <= 0 && d1 >= 0 && d3 <= 0) {
+        t = d1 / (d1 - d3);
+        return weight[0] = 1 - t, weight[1] = t, 1;
+    }
+    vb = d5 * d2 - d1 * d6;
+    if (vb <= 0 && d2 >= 0 && d6 <= 0) {
+        t = d2 / (d2 - d6);
+        return weight[0] = 1 - t, weight[2] = t, 3;
+    }
+    va = d3 * d6 - d5 * d4;
+    if (va <= 0 && d4 - d3 >= 0 && d5 - d6 >= 0) {
+        t = (d4 - d3) / (d4 - d3 + d5 - d6);
+        return weight[1] = 1 - t, weight[2] = t, 2;
+    }
+    t = va + vb + vc;
+    weight[1] = vb / t;
+    weight[2] = vc / t;
+    weight[0] = 1 - weight[1] - weight[2];
+    return 0;
+}
+
+static sfem_real sfemi_shell_box_distance2(const sfemi_shell_box *box, const sfem_real p[3])
+{
+    sfem_real sum = 0;
+    int c;
+    for (c = 0; c < 3; ++c) {
+        const sfem_real over = p[c] < box->low[c] ? box->low[c] - p[c] : p[c] > box->high[c] ? p[c] - box->high[c] : 0;
+        sum += over * over;
+    }
+    return sum;
+}
+
+/* Signed, and its gradient. */
+static sfem_real sfemi_shell_distance(const sfemi_shell *s, const sfem_real p[3], sfem_real n[3])
+{
+    sfem_int stack[64], top = 0, best = -1;
+    sfem_real least = 1e300, nearest[3] = {0, 0, 0}, away[3], length;
+    const sfem_real *normal;
+    int feature = 0, k, c;
+    stack[top++] = 0;
+    while (top) {
+        const sfem_int at = stack[--top];
+        const sfemi_shell_box *box = s->box + at;
+        sfem_int i;
+        if (sfemi_shell_box_distance2(box, p) >= least) continue;
+        for (i = box->first; i < box->first + box->count; ++i) {
+            const sfem_int *t = s->tri + 3 * (size_t)i;
+            sfem_real w[3], x[3], d[3];
+            k = sfemi_shell_nearest(s->x + 3 * (size_t)t[0], s->x + 3 * (size_t)t[1], s->x + 3 * (size_t)t[2], p, w);
+            for (c = 0; c < 3; ++c)
+                x[c] = w[0] * s->x[3 * (size_t)t[0] + (size_t)c] + w[1] * s->x[3 * (size_t)t[1] + (size_t)c] +
+                       w[2] * s->x[3 * (size_t)t[2] + (size_t)c];
+            sfemi_sub3(p, x, d);
+            if (sfemi_dot3(d, d) >= least) continue;
+            least = sfemi_dot3(d, d);
+            memcpy(nearest, x, sizeof x);
+            best = i;
+            feature = k;
+        }
+        if (box->count || top > 62) continue;
+        if (sfemi_shell_box_distance2(s->box + at + 1, p) < sfemi_shell_box_distance2(s->box + box->first, p)) {
+            stack[top++] = box->first;
+            stack[top++] = at + 1; /* the nearer one comes first */
+        } else {
+            stack[top++] = at + 1;
+            stack[top++] = box->first;
+        }
+    }
+    if (best < 0) return 1e300;
+    normal = feature == 0 ? s->face + 3 * (size_t)best
+             : feature < 4 ? s->side + 9 * (size_t)best + 3 * (feature - 1)
+                           : s->corner + 3 * (size_t)s->tri[3 * (size_t)best + (size_t)feature - 4];
+    sfemi_sub3(p, nearest, away);
+    length = sqrt(least);
+    if (length > 0 && sfemi_dot3(normal, away) >= 0) {
+        for (c = 0; c < 3; ++c) n[c] = away[c] / length;
+        return length;
+    }
+    for (c = 0; c < 3; ++c) n[c] = length > 0 ? -away[c] / length : s->face[3 * (size_t)best + (size_t)c];
+    return -length;
+}
+
+/* Boxes over triangles [first, first + count), halved by their middles; `order` is sorted along. Returns the box. */
+static sfem_int sfemi_shell_grow(sfemi_shell *s, const sfem_real *middle, sfem_int *order, sfem_int first, sfem_int count)
+{
+    enum { LEAF = 4 };
+    const sfem_int at = s->boxes++;
+    sfemi_shell_box *box = s->box + at;
+    sfem_real low[3] = {1e300, 1e300, 1e300}, high[3] = {-1e300, -1e300, -1e300};
+    sfem_int i, j, gap, half = count / 2, second;
+    int c, k, axis = 0;
+    for (c = 0; c < 3; ++c) box->low[c] = 1e300, box->high[c] = -1e300;
+    for (i = first; i < first + count; ++i)
+        for (c = 0; c < 3; ++c) {
+            low[c] = fmin(low[c], middle[3 * (size_t)order[i] + (size_t)c]);
+            high[c] = fmax(high[c], middle[3 * (size_t)order[i] + (size_t)c]);
+            for (k = 0; k < 3; ++k) {
+                const sfem_real x = s->x[3 * (size_t)s->tri[3 * (size_t)order[i] + (size_t)k] + (size_t)c];
+                box->low[c] = fmin(box->low[c], x);
+                box->high[c] = fmax(box->high[c], x);
+            }
+        }
+    box->first = first;
+    box->count = count;
+    if (count <= LEAF) return at;
+    for (c = 1; c < 3; ++c)
+        if (high[c] - low[c] > high[axis] - low[axis]) axis = c;
+    for (gap = count / 2; gap > 0; gap /= 2) /* [Shell 1959] */
+        for (i = first + gap; i < first + count; ++i) {
+            const sfem_int o = order[i];
+            for (j = i; j >= first + gap && middle[3 * (size_t)o + (size_t)axis] <
+                                                middle[3 * (size_t)order[j - gap] + (size_t)axis]; j -= gap)
+                order[j] = order[j - gap];
+            order[j] = o;
+        }
+    (void)sfemi_shell_grow(s, middle, order, first, half);
+    second = sfemi_shell_grow(s, middle, order, first + half, count - half);
+    s->box[at].first = second;
+    s->box[at].count = 0;
+    return at;
+}
+
+/* The edge {a, b} of a triangle: its place in a table of `size` slots, a power of 2, by linear probing. */
+static size_t sfemi_shell_slot(const sfem_int *table, size_t size, sfem_int a, sfem_int b)
+{
+    const uint64_t low = (uint64_t)(a < b ? a : b), high = (uint64_t)(a < b ? b : a);
+    size_t at = (size_t)((low * 0x9e3779b97f4a7c15u ^ high * 0xc2b2ae3d27d4eb4fu) >> 20) & (size - 1);
+    while (table[4 * at] && !((uint64_t)table[4 * at + 1] == low && (uint64_t)table[4 * at + 2] == high))
+        at = (at + 1) & (size - 1);
+    return at;
+}
+
+/* Normals of faces, edges and corners, and whether each edge has two sides. */
+static sfem_status sfemi_shell_orient(sfemi_shell *s, const sfem_allocator *al, sfem_error *err)
+{
+    sfem_int *table = NULL, i;
+    size_t size = 16, at;
+    sfem_real *sum = NULL;
+    sfem_status status = SFEM_OK;
+    int k, c;
+    while (size < 6 * (size_t)s->triangles) size *= 2;
+    SFEMI_NEW(sfem_int, table, al, 4 * size); /* faces, nodes, how often one way more than the other */
+    SFEMI_NEW(sfem_real, sum, al, 3 * size);
+    s->closed = 1;
+    for (i = 0; i < s->triangles; ++i) {
+        const sfem_int *t = s->tri + 3 * (size_t)i;
+        sfem_real e[3][3], *n = s->face + 3 * (size_t)i, length;
+        for (k = 0; k < 3; ++k) sfemi_sub3(s->x + 3 * (size_t)t[(k + 1) % 3], s->x + 3 * (size_t)t[k], e[k]);
+        sfemi_cross(e[0], e[1], n);
+        length = sqrt(sfemi_dot3(n, n));
+        for (c = 0; c < 3; ++c) n[c] = length > 0 ? n[c] / length : 0; /* of no area: its neighbours tell the side */
+        for (k = 0; k < 3; ++k) {
+            const sfem_real a = -sfemi_dot3(e[k], e[(k + 2) % 3]);
+            const sfem_real b = sqrt(sfemi_dot3(e[k], e[k]) * sfemi_dot3(e[(k + 2) % 3], e[(k + 2) % 3]));
+            const sfem_real angle = b > 0 ? acos(fmax(-1.0, fmin(1.0, a / b))) : 0;
+            const sfem_int from = t[k], to = t[(k + 1) % 3];
+            at = sfemi_shell_slot(table, size, from, to);
+            ++table[4 * at];
+            table[4 * at + 1] = from < to ? from : to;
+            table[4 * at + 2] = from < to ? to : from;
+            table[4 * at + 3] += from < to ? 1 : -1;
+            for (c = 0; c < 3; ++c) {
+                sum[3 * at + (size_t)c] += n[c];
+                s->corner[3 * (size_t)from + (size_t)c] += angle * n[c];
+            }
+        }
+    }
+    for (i = 0; i < s->triangles; ++i)
+        for (k = 0; k < 3; ++k) {
+            const sfem_int *t = s->tri + 3 * (size_t)i;
+            at = sfemi_shell_slot(table, size, t[k], t[(k + 1) % 3]);
+            if (table[4 * at + 3] == 0) {
+                memcpy(s->side + 9 * (size_t)i + 3 * k, sum + 3 * at, 3 * sizeof *sum);
+                continue;
+            }
+            s->closed = 0;
+            memset(s->corner + 3 * (size_t)t[k], 0, 3 * sizeof *sum);
+            memset(s->corner + 3 * (size_t)t[(k + 1) % 3], 0, 3 * sizeof *sum);
+        }
+done:
+    sfemi_delete(al, table);
+    sfemi_delete(al, sum);
+    return status;
+}
+
+static sfem_status sfemi_shell_check(const sfem_surface *surface, sfem_error *err)
+{
+    sfem_int i;
+    if (!surface || surface->triangles < 1 || surface->nodes < 3 || !surface->x || !surface->tri)
+        return sfemi_fail(err, SFEM_BAD_MESH, "the obstacle's surface has no triangles, or no places of its nodes");
+    for (i = 0; i < 3 * surface->nodes; ++i)
+        if (!sfemi_finite(surface->x[i]))
+            return sfemi_fail_at(err, SFEM_NOT_FINITE, i / 3, -1, "node %d of the obstacle's surface is not finite",
+                                 (int)(i / 3));
+    for (i = 0; i < 3 * surface->triangles; ++i)
+        if (surface->tri[i] < 0 || surface->tri[i] >= surface->nodes)
+            return sfemi_fail(err, SFEM_BAD_MESH, "triangle %d of the obstacle names node %d, its surface has %d",
+                              (int)(i / 3), (int)surface->tri[i], (int)surface->nodes);
+    return SFEM_OK;
+}
+
+static sfem_status sfemi_shell_create(const sfem_surface *surface, const sfem_allocator *al, sfemi_shell **out,
+                                      sfem_error *err)
+{
+    sfemi_shell *s = NULL;
+    sfem_real *middle = NULL;
+    sfem_int *order = NULL, *tri = NULL, i;
+    sfem_status status = SFEM_OK;
+    int c;
+    SFEMI_TRY(sfemi_shell_check(surface, err));
+    SFEMI_NEW(sfemi_shell, s, al, 1);
+    s->nodes = surface->nodes;
+    s->triangles = surface->triangles;
+    SFEMI_NEW(sfem_real, s->x, al, 3 * (size_t)s->nodes);
+    SFEMI_NEW(sfem_int, s->tri, al, 3 * (size_t)s->triangles);
+    SFEMI_NEW(sfem_real, s->face, al, 3 * (size_t)s->triangles);
+    SFEMI_NEW(sfem_real, s->side, al, 9 * (size_t)s->triangles);
+    SFEMI_NEW(sfem_real, s->corner, al, 3 * (size_t)s->nodes);
+    SFEMI_NEW(sfemi_shell_box, s->box, al, 2 * (size_t)s->triangles);
+    SFEMI_NEW(sfem_real, middle, al, 3 * (size_t)s->triangles);
+    SFEMI_NEW(sfem_int, order, al, s->triangles);
+    SFEMI_NEW(sfem_int, tri, al, 3 * (size_t)s->triangles);
+    memcpy(s->x, surface->x, 3 * (size_t)s->nodes * sizeof *s->x);
+    memcpy(s->tri, surface->tri, 3 * (size_t)s->triangles * sizeof *s->tri);
+    for (i = 0; i < s->triangles; ++i) {
+        order[i] = i;
+        for (c = 0; c < 9; ++c)
+            middle[3 * (size_t)i + (size_t)(c % 3)] += s->x[3 * (size_t)s->tri[3 * i + c / 3] + (size_t)(c % 3)] / 3;
+    }
+    (void)sfemi_shell_grow(s, middle, order, 0, s->triangles);
+    for (i = 0; i < s->triangles; ++i) memcpy(tri + 3 * (size_t)i, s->tri + 3 * (size_t)order[i], 3 * sizeof *tri);
+    memcpy(s->tri, tri, 3 * (size_t)s->triangles * sizeof *tri);
+    SFEMI_TRY(sfemi_shell_orient(s, al, err));
+    *out = s;
+    s = NULL;
+done:
+    sfemi_shell_free(al, s);
+    sfemi_delete(al, middle);
+    sfemi_delete(al, order);
+    sfemi_delete(al, tri);
+    return status;
+}
+
+/* Of a height field: the distance from the plane of the triangle above or below which a point is; none beyond the rim. */
+static sfem_real sfemi_obstacle_heights(const sfem_obstacle_def *d, const sfem_real *heights, const sfem_real y[3],
+                                        sfem_real n[3])
+{
+    const sfem_real u = y[0] / d->size[0], v = y[1] / d->size[1];
+    sfem_int i, j;
+    sfem_real h, a, b, length, s, t;
+    n[0] = n[1] = 0;
+    n[2] = 1;
+    if (!(u >= 0 && v >= 0 && u <= d->cells[0] - 1 && v <= d->cells[1] - 1)) return 1e300;
+    i = (sfem_int)u < d->cells[0] - 2 ? (sfem_int)u : d->cells[0] - 2;
+    j = (sfem_int)v < d->cells[1] - 2 ? (sfem_int)v : d->cells[1] - 2;
+    s = u - i;
+    t = v - j;
+    heights += (size_t)i * (size_t)d->cells[1] + (size_t)j;
+    if (s >= t) { /* (0,0) (1,0) (1,1) */
+        a = heights[d->cells[1]] - heights[0];
+        b = heights[d->cells[1] + 1] - heights[d->cells[1]];
+    } else {
+        a = heights[d->cells[1] + 1] - heights[1];
+        b = heights[1] - heights[0];
+    }
+    h = heights[0] + a * s + b * t;
+    n[0] = -a / d->size[0];
+    n[1] = -b / d->size[1];
+    length = sqrt(sfemi_dot3(n, n));
+    n[0] /= length;
+    n[1] /= length;
+    n[2] /= length;
+    return (y[2] - h) * n[2];
+}
+
+/* The least cosine of its slopes, by which distances are at least the heights. */
+static sfem_real sfemi_obstacle_flattest(const sfem_obstacle_def *d)
+{
+    sfem_real least = 1, n[3];
+    sfem_int i, j;
+    int k;
+    for (i = 0; i + 1 < d->cells[0]; ++i)
+        for (j = 0; j + 1 < d->cells[1]; ++j)
+            for (k = 0; k < 2; ++k) {
+                const sfem_real y[3] = {(i + (k ? 0.75 : 0.25)) * d->size[0], (j + (k ? 0.25 : 0.75)) * d->size[1], 0};
+                (void)sfemi_obstacle_heights(d, d->heights, y, n);
+                least = fmin(least, n[2]);
+            }
+    return least;
+}
+
+/* Of a point in its axes; n: the gradient. */
+static sfem_real sfemi_obstacle_distance(const sfemi_obstacle *o, const sfem_real y[3], sfem_real n[3])
+{
+    const sfem_real *size = o->def.size;
+    sfem_real s;
+    switch (o->def.kind) {
+    case SFEM_OBSTACLE_SPHERE:
+    case SFEM_OBSTACLE_CAPSULE: {
+        const sfem_real rod[3] = {size[0], o->def.kind == SFEM_OBSTACLE_SPHERE ? 0 : size[1], 0};
+        return sfemi_obstacle_capsule(rod, y, n);
+    }
+    case SFEM_OBSTACLE_BOX: return sfemi_obstacle_box(size, y, n);
+    case SFEM_OBSTACLE_CYLINDER: return sfemi_obstacle_cylinder(size, y, n);
+    case SFEM_OBSTACLE_DISTANCE:
+        s = o->def.distance(o->def.user, y, n);
+        return sfemi_finite(s) && sfemi_all_finite(n, 3) ? s : 1e300; /* where it is not defined nothing is touched */
+    case SFEM_OBSTACLE_HEIGHTS: return sfemi_obstacle_heights(&o->def, o->heights, y, n);
+    case SFEM_OBSTACLE_SURFACE:
+        s = sfemi_shell_distance(o->shell, y, n);
+        if (o->shell->closed || s > -size[0] / 2) return s;
+        n[0] = -n[0]; /* an open one is a plate that has a back */
+        n[1] = -n[1];
+        n[2] = -n[2];
+        return -s - size[0];
+    default:
+        n[0] = n[1] = 0;
+        n[2] = 1;
+        return y[2];
+    }
+}
+
+/* Is the point, in the obstacle's axes, surely farther than `far` from it? What costs little to ask before a distance. */
+static int sfemi_obstacle_is_beyond(const sfemi_obstacle *o, const sfem_real y[3], sfem_real far)
+{
+    if (!o->shell) return 0;
+    if (!o->shell->closed) far += o->def.size[0]; /* its back */
+    return sfemi_shell_box_distance2(o->shell->box, y) > far * far;
+}
+
+static void sfemi_obstacle_to_local(const sfem_real p[3], const sfem_real axes[9], const sfem_real x[3], sfem_real y[3])
+{
+    const sfem_real d[3] = {x[0] - p[0], x[1] - p[1], x[2] - p[2]};
+    int c;
+    for (c = 0; c < 3; ++c) y[c] = axes[c] * d[0] + axes[3 + c] * d[1] + axes[6 + c] * d[2];
+}
+
+static void sfemi_obstacle_to_space(const sfem_real *p, const sfem_real axes[9], const sfem_real y[3], sfem_real x[3])
+{
+    int c;
+    for (c = 0; c < 3; ++c) x[c] = (p ? p[c] : 0) + sfemi_dot3(axes + 3 * c, y);
+}
+
+/* Its poses in a step of h, with axes that stay a rotation. */
+static void sfemi_obstacle_set_off(sfemi_obstacle *o, sfem_real h)
+{
+    const sfem_real angle[3] = {h * o->angular[0], h * o->angular[1], h * o->angular[2]};
+    sfem_real r[9], next[9], stretch[9];
+    int c;
+    memcpy(o->from, o->def.position, sizeof o->from);
+    memcpy(o->from_axes, o->def.rotation, sizeof o->from_axes);
+    for (c = 0; c < 3; ++c) o->to[c] = o->from[c] + h * o->velocity[c];
+    memcpy(o->to_axes, o->from_axes, sizeof o->to_axes);
+    if (sfemi_dot3(angle, angle) == 0) return;
+    sfemi_rotate_by(angle, r);
+    sfemi_mul3(r, o->from_axes, next);
+    sfem_polar(next, o->to_axes, stretch);
+}
+
+static int sfemi_obstacle_moves(const sfemi_obstacle *o)
+{
+    return sfemi_dot3(o->velocity, o->velocity) + sfemi_dot3(o->angular, o->angular) > 0;
+}
+
+/* Is all of the box farther than the margin from wherever it is in the step? */
+static int sfemi_obstacle_is_far(const sfemi_obstacle *o, sfem_real box[2][3], sfem_real margin)
+{
+    sfem_real way[3], gap2 = 0, reach;
+    int c;
+    if (o->def.kind == SFEM_OBSTACLE_PLANE) {
+        sfem_real least = 1e300;
+        for (c = 0; c < 16; ++c) {
+            const sfem_real corner[3] = {box[c & 1][0], box[c >> 1 & 1][1], box[c >> 2 & 1][2]};
+            sfem_real y[3];
+            if (c & 8) sfemi_obstacle_to_local(o->to, o->to_axes, corner, y);
+            else sfemi_obstacle_to_local(o->from, o->from_axes, corner, y);
+            least = fmin(least, y[2]);
+        }
+        return least > margin;
+    }
+    if (o->reach < 0) return 0;
+    sfemi_sub3(o->to, o->from, way);
+    reach = o->reach + margin + sqrt(sfemi_dot3(way, way));
+    for (c = 0; c < 3; ++c) {
+        const sfem_real over = fmax(box[0][c] - o->to[c], o->to[c] - box[1][c]);
+        if (over > 0) gap2 += over * over;
+    }
+    return gap2 > reach * reach;
+}
+
+/* Where on the way from y0, outside, to y1 it is touched first: 0 to 1, or 2: nowhere [sphere tracing, Hart 1996]. */
+static sfem_real sfemi_obstacle_trace(const sfemi_obstacle *o, const sfem_real y0[3], const sfem_real y1[3],
+                                      sfem_real place[3], sfem_real n[3])
+{
+    enum { MOST = 200 };
+    sfem_real way[3], length, t = 0;
+    int k, c;
+    sfemi_sub3(y1, y0, way);
+    length = sqrt(sfemi_dot3(way, way));
+    for (k = 0; k < MOST && length > 0; ++k) {
+        sfem_real s;
+        for (c = 0; c < 3; ++c) place[c] = y0[c] + t * way[c];
+        s = sfemi_obstacle_distance(o, place, n);
+        if (s <= 1e-6 * length) {
+            for (c = 0; c < 3; ++c) place[c] -= s * n[c];
+            return t;
+        }
+        t += o->safe * s / length;
+        if (t > 1) break;
+    }
+    return 2;
+}
+
+/* ---- what touches ---- */
+
+static int sfemi_contact_pair(const sfemi_touch *t, const sfemi_obstacle *o)
+{
+    return o->used && (t->contact.groups & o->def.contact.collides) && (o->def.contact.groups & t->contact.collides);
+}
+
+/* The plane, in the obstacle's axes, that a point on its way from y0 to y1 is to stay in front of, if any. Where it ends
+ * inside, the nearest one, unless that is another side than the one it came through. */
+static int sfemi_contact_meets(const sfemi_obstacle *o, const sfem_real y0[3], const sfem_real y1[3], sfem_real margin,
+                               sfemi_row *row)
+{
+    const sfem_real alike = 0.3; /* cosine: of sides that are one to a point */
+    sfem_real way[3], n0[3], n1[3], touch[3], n[3];
+    sfem_real length, s0, s1;
+    int c;
+    sfemi_sub3(y1, y0, way);
+    length = sqrt(sfemi_dot3(way, way));
+    if (sfemi_obstacle_is_beyond(o, y1, margin + length)) return 0;
+    s1 = sfemi_obstacle_distance(o, y1, n1);
+    if (o->safe * s1 > margin + length) return 0;
+    s0 = sfemi_obstacle_distance(o, y0, n0);
+    if (s1 >= margin && (s0 <= 0 || o->safe * (s0 + s1) > length)) return 0;
+    if (s0 <= 0) {
+        memcpy(n, n0, sizeof n);
+        for (c = 0; c < 3; ++c) touch[c] = y0[c] - s0 * n0[c];
+    } else if (sfemi_obstacle_trace(o, y0, y1, touch, n) > 1) {
+        if (s1 >= margin) return 0;
+        memcpy(n, n1, sizeof n);
+    }
+    if (s1 < margin && sfemi_dot3(n, n1) > alike) {
+        memcpy(n, n1, sizeof n);
+        for (c = 0; c < 3; ++c) touch[c] = y1[c] - s1 * n1[c];
+    }
+    memcpy(row->local_normal, n, sizeof n);
+    memcpy(row->local_place, touch, sizeof touch);
+    return 1;
+}
+
+/* A point of the row at the start and the end of the step, in space. */
+static void sfemi_contact_point_of(const sfemi_touch *t, const sfemi_row *row, const sfem_real *w, sfem_real h,
+                                   sfem_real x[3])
+{
+    const sfem_real *rest = t->body->model->mesh.x, *u = t->body->state.u;
+    int k, c;
+    memset(x, 0, 3 * sizeof *x);
+    for (k = 0; k < row->parts; ++k)
+        for (c = 0; c < 3; ++c) {
+            const size_t at = 3 * (size_t)row->node[k] + (size_t)c;
+            x[c] += row->weight[k] * (rest[at] + u[at] + (w ? h * w[at] : 0));
+        }
+}
+
+/* The row's plane in space, and where its point may be. */
+static void sfemi_contact_place(const sfem_contact *c, const sfemi_touch *t, sfemi_row *row, sfem_real h)
+{
+    const sfemi_obstacle *o = c->obstacle + row->obstacle;
+    sfem_real x0[3], y0[3], before[3], *n = row->axes, start;
+    int k, small;
+    sfemi_obstacle_to_space(o->to, o->to_axes, row->local_place, row->place);
+    sfemi_obstacle_to_space(o->from, o->from_axes, row->local_place, before);
+    for (k = 0; k < 3; ++k) row->speed[k] = (row->place[k] - before[k]) / h;
+    sfemi_obstacle_to_space(NULL, o->to_axes, row->local_normal, n);
+    small = fabs(n[0]) < fabs(n[1]) ? 0 : 1;
+    if (fabs(n[2]) < fabs(n[small])) small = 2;
+    for (k = 0; k < 3; ++k) n[3 + k] = (k == small) - n[small] * n[k];
+    start = sqrt(sfemi_dot3(n + 3, n + 3));
+    for (k = 0; k < 3; ++k) n[3 + k] /= start;
+    sfemi_cross(n, n + 3, n + 6);
+    sfemi_contact_point_of(t, row, NULL, h, x0);
+    sfemi_obstacle_to_local(o->from, o->from_axes, x0, y0);
+    sfemi_sub3(y0, row->local_place, y0);
+    start = sfemi_dot3(row->local_normal, y0);
+    if (start < 0) start = fmin(0.0, start + row->compliance * sfemi_dot3(n, row->force)); /* a spring may be pressed */
+    row->pushed = start < 0;
+    row->least = start < 0 ? start + fmin(c->def.push_share * -start, c->def.push_speed * h) : 0;
+}
+
+/* m/s at which a row that starts inside is pushed out. */
+static sfem_real sfemi_contact_push_speed(const sfem_contact *c, const sfemi_row *row, sfem_real h)
+{
+    const sfem_real share = c->def.push_share; /* least = start (1 - share), or start + speed h */
+    const sfem_real out = share < 1 ? -row->least * share / (1 - share) / h : c->def.push_speed;
+    return fmin(out, c->def.push_speed);
+}
+
+/* Restitution of a row that is new: it is to leave by a part of the speed at which it arrives. */
+static void sfemi_contact_bounce(const sfem_contact *c, const sfemi_touch *t, sfemi_row *row, sfem_real h)
+{
+    const sfem_real *w = t->body->state.w, *g = t->body->state.head->gravity;
+    const sfem_real e = fmax(t->contact.restitution, c->obstacle[row->obstacle].def.contact.restitution);
+    sfem_real v = -sfemi_dot3(row->axes, row->speed);
+    int k;
+    row->bounce = 0;
+    for (k = 0; k < row->parts; ++k) v += row->weight[k] * sfemi_dot3(row->axes, w + 3 * (size_t)row->node[k]);
+    if (e > 0 && -v > 2 * h * sqrt(sfemi_dot3(g, g))) row->bounce = -e * v;
+}
+
+static void sfemi_contact_rate(const sfem_contact *c, const sfemi_touch *t, sfemi_row *row)
+{
+    const sfem_contact_surface *a = &t->contact, *b = &c->obstacle[row->obstacle].def.contact;
+    row->friction = sqrt(a->friction * b->friction);
+    row->compliance = a->compliance + b->compliance;
+}
+
+static sfem_status sfemi_contact_append(sfem_contact *c, sfemi_touch *t, const sfemi_row *row, sfem_error *err)
+{
+    sfem_status status = SFEM_OK;
+    if (c->rows >= c->def.max_contacts)
+        return sfemi_fail(err, SFEM_FULL, "more than %d contacts: raise max_contacts, or touch with less",
+                          (int)c->def.max_contacts);
+    SFEMI_CONTACT_LIST(c, t->row, t->room, t->rows + 1);
+    t->row[t->rows++] = *row;
+    ++c->rows;
+done:
+    return status;
+}
+
+/* Nodes of the body that meet an obstacle, and have no row with it. */
+static sfem_status sfemi_contact_detect_nodes(sfem_contact *c, sfemi_touch *t, sfem_int obstacle, sfem_real h,
+                                              sfem_error *err)
+{
+    const sfemi_obstacle *o = c->obstacle + obstacle;
+    const sfem_real margin = 1e-3 * t->edge;
+    sfem_status status = SFEM_OK;
+    const sfem_int before = t->rows;
+    sfem_int i;
+    for (i = 0; i < before; ++i)
+        if (t->row[i].obstacle == obstacle && t->row[i].parts == 1) t->row_of[t->row[i].node[0]] = i;
+    for (i = 0; i < t->nodes; ++i) {
+        sfem_real y0[3], y1[3];
+        sfemi_row row;
+        if (t->row_of[t->node[i]] >= 0) continue;
+        sfemi_obstacle_to_local(o->from, o->from_axes, t->x0 + 3 * (size_t)i, y0);
+        sfemi_obstacle_to_local(o->to, o->to_axes, t->x1 + 3 * (size_t)i, y1);
+        memset(&row, 0, sizeof row);
+        if (!sfemi_contact_meets(o, y0, y1, margin, &row)) continue;
+        row.feature = row.node[0] = t->node[i];
+        row.parts = row.fresh = 1;
+        row.weight[0] = 1;
+        row.obstacle = obstacle;
+        sfemi_contact_rate(c, t, &row);
+        sfemi_contact_place(c, t, &row, h);
+        sfemi_sub3(t->x1 + 3 * (size_t)i, row.place, y1);
+        if (sfemi_dot3(row.axes, y1) < 0) sfemi_contact_bounce(c, t, &row, h);
+        SFEMI_TRY(sfemi_contact_append(c, t, &row, err));
+    }
+done:
+    for (i = 0; i < before; ++i)
+        if (t->row[i].parts == 1) t->row_of[t->row[i].node[0]] = -1;
+    return status;
+}
+
+/* ---- faces: obstacles smaller than triangles, their corners and edges ----
+ *
+ * The point of a face that is deepest in an obstacle, by steps down the distance's gradient, projected to the face. It is a
+ * contact if it is much nearer than the face's nodes, which have rows of their own. */
+
+/* Corners of a triangle of the body at the part `time` of the step, in the obstacle's axes then. */
+static void sfemi_contact_face_at(const sfemi_touch *t, const sfemi_obstacle *o, const sfem_int *tri, const sfem_real *w,
+                                  sfem_real time_h, sfem_real share, sfem_real corner[9])
+{
+    const sfem_real *rest = t->body->model->mesh.x, *u = t->body->state.u;
+    int k, c;
+    for (k = 0; k < 3; ++k) {
+        sfem_real x[3], y[3];
+        for (c = 0; c < 3; ++c) {
+            const size_t at = 3 * (size_t)tri[k] + (size_t)c;
+            x[c] = rest[at] + u[at] + time_h * w[at];
+        }
+        sfemi_obstacle_to_local(o->from, o->from_axes, x, corner + 3 * k);
+        if (!(share > 0)) continue;
+        sfemi_obstacle_to_local(o->to, o->to_axes, x, y);
+        for (c = 0; c < 3; ++c) corner[3 * k + c] = (1 - share) * corner[3 * k + c] + share * y[c];
+    }
+}
+
+/* The least distance of a point of the triangle, and its weights. */
+static sfem_real sfemi_contact_face_depth(const sfemi_obstacle *o, const sfem_real corner[9], sfem_real size,
+                                          sfem_real weight[3])
+{
+    enum { STEPS = 16 };
+    sfem_real best = 1e300, y[3], n[3], w[3] = {1.0 / 3, 1.0 / 3, 1.0 / 3}, length = size;
+    int k, c;
+    for (k = 0; k < STEPS; ++k) {
+        sfem_real s;
+        for (c = 0; c < 3; ++c) y[c] = w[0] * corner[c] + w[1] * corner[3 + c] + w[2] * corner[6 + c];
+        s = sfemi_obstacle_distance(o, y, n);
+        if (s < best) {
+            best = s;
+            memcpy(weight, w, sizeof w);
+        } else { /* back to the best, and shorter steps */
+            length /= 2;
+            for (c = 0; c < 3; ++c) y[c] = weight[0] * corner[c] + weight[1] * corner[3 + c] + weight[2] * corner[6 + c];
+            if (sfemi_obstacle_distance(o, y, n) > 1e299) break;
+        }
+        for (c = 0; c < 3; ++c) y[c] -= length * n[c];
+        (void)sfemi_shell_nearest(corner, corner + 3, corner + 6, y, w);
+    }
+    return best;
+}
+
+/* Does the triangle meet the obstacle in the step between its nodes? Then weight is where. */
+static int sfemi_contact_face_meets(const sfemi_touch *t, const sfemi_obstacle *o, const sfem_int *tri, const sfem_real *w,
+                                    sfem_real h, sfem_real weight[3])
+{
+    enum { MOST = 16 };
+    sfem_real corner[9], first[9], middle[3], n[3], size = 0, way = 0, s;
+    int k, c, times;
+    sfemi_contact_face_at(t, o, tri, w, 0, 0, first);
+    sfemi_contact_face_at(t, o, tri, w, h, 1, corner);
+    for (c = 0; c < 3; ++c) middle[c] = (corner[c] + corner[3 + c] + corner[6 + c]) / 3;
+    for (k = 0; k < 3; ++k) {
+        sfem_real d[3], e[3];
+        sfemi_sub3(corner + 3 * k, middle, d);
+        sfemi_sub3(corner + 3 * k, first + 3 * k, e);
+        size = fmax(size, sqrt(sfemi_dot3(d, d)));
+        way = fmax(way, sqrt(sfemi_dot3(e, e)));
+    }
+    if (sfemi_obstacle_is_beyond(o, middle, size + way)) return 0;
+    s = sfemi_obstacle_distance(o, middle, n);
+    if (o->safe * s > size + way) return 0;
+    times = way > size ? 1 + (int)fmin(way / size, (sfem_real)MOST - 1) : 1;
+    for (k = 1; k <= times; ++k) { /* on its way */
+        const sfem_real share = (sfem_real)k / times;
+        sfem_real nodes = 1e300;
+        if (k < times) sfemi_contact_face_at(t, o, tri, w, share * h, share, corner);
+        else sfemi_contact_face_at(t, o, tri, w, h, 1, corner);
+        for (c = 0; c < 3; ++c) middle[c] = (corner[c] + corner[3 + c] + corner[6 + c]) / 3;
+        if (o->safe * sfemi_obstacle_distance(o, middle, n) > size) continue;
+        for (c = 0; c < 3; ++c) nodes = fmin(nodes, sfemi_obstacle_distance(o, corner + 3 * c, n));
+        s = sfemi_contact_face_depth(o, corner, size, weight);
+        if (s < -1e-3 * t->edge && s < nodes - 0.02 * size) return 1;
+    }
+    return 0;
+}
+
+/* The plane of a face's row, corners at the start and the end of the step: where the point lies inside the face, the face
+ * itself, moved along its normal to where the obstacle ends (a corner has no normal of its own); else as of a node. */
+static int sfemi_contact_face_plane(const sfemi_obstacle *o, const sfem_real first[9], const sfem_real corner[9],
+                                    sfem_real margin, sfemi_row *row)
+{
+    enum { MOST = 60 };
+    const sfem_real *w = row->weight, inside = 0.02; /* of a weight */
+    sfem_real y0[3], y1[3], e[3], f[3], n[3], g[3], touch[3], way[3], s, length, size, moved = 0;
+    int k, c;
+    for (c = 0; c < 3; ++c) {
+        y0[c] = w[0] * first[c] + w[1] * first[3 + c] + w[2] * first[6 + c];
+        y1[c] = w[0] * corner[c] + w[1] * corner[3 + c] + w[2] * corner[6 + c];
+    }
+    sfemi_sub3(corner + 3, corner, e);
+    sfemi_sub3(corner + 6, corner, f);
+    sfemi_cross(f, e, n); /* into the body */
+    length = sqrt(sfemi_dot3(n, n));
+    size = sqrt(length);
+    if (!(fmin(w[0], fmin(w[1], w[2])) > inside) || !(length > 0)) return sfemi_contact_meets(o, y0, y1, margin, row);
+    for (c = 0; c < 3; ++c) n[c] /= length;
+    s = sfemi_obstacle_distance(o, y1, g);
+    sfemi_sub3(y1, y0, way);
+    if (s >= margin && sfemi_dot3(way, n) < 0 && sfemi_obstacle_distance(o, y0, g) > 0) { /* passed? */
+        if (sfemi_obstacle_trace(o, y0, y1, touch, g) > 1) return 0;
+        memcpy(row->local_place, touch, sizeof touch);
+        memcpy(row->local_normal, n, sizeof n);
+        return 1;
+    }
+    for (k = 0; k < MOST && fabs(s) > 1e-9 * size && fabs(moved) < 2 * size; ++k) {
+        moved -= o->safe * s; /* out of the obstacle along n, or back to it */
+        for (c = 0; c < 3; ++c) touch[c] = y1[c] + moved * n[c];
+        s = sfemi_obstacle_distance(o, touch, g);
+    }
+    if (k == MOST || fabs(moved) >= 2 * size) return sfemi_contact_meets(o, y0, y1, margin, row);
+    for (c = 0; c < 3; ++c) row->local_place[c] = y1[c] + moved * n[c];
+    memcpy(row->local_normal, n, sizeof n);
+    return 1;
+}
+
+/* Has a row's point, y at the end of the step, slid off the side of the obstacle that its plane is of? Else the plane would
+ * go on beyond the obstacle's edge. One that is inside, or passes through in the step, has not. */
+static int sfemi_contact_has_left(const sfemi_touch *t, const sfemi_obstacle *o, const sfemi_row *row, sfem_real h,
+                                  const sfem_real y[3])
+{
+    sfem_real x0[3], y0[3], touch[3], n[3];
+    sfemi_contact_point_of(t, row, NULL, h, x0);
+    sfemi_obstacle_to_local(o->from, o->from_axes, x0, y0);
+    return sfemi_obstacle_distance(o, y0, n) > 0 && sfemi_obstacle_trace(o, y0, y, touch, n) > 1;
+}
+
+/* Rows that were there: their planes at where they are now. */
+static void sfemi_contact_follow(const sfem_contact *c, sfemi_touch *t, const sfem_real *w, sfem_real h)
+{
+    sfem_int i;
+    int k;
+    for (i = 0; i < t->rows; ++i) {
+        sfemi_row *row = t->row + i;
+        const sfemi_obstacle *o = c->obstacle + row->obstacle;
+        sfem_real x[3], y[3], n[3], s;
+        if (row->parts == 3) {
+            sfem_real first[9], corner[9];
+            sfemi_contact_face_at(t, o, row->node, w, 0, 0, first);
+            sfemi_contact_face_at(t, o, row->node, w, h, 1, corner);
+            (void)sfemi_contact_face_plane(o, first, corner, 1e300, row);
+            sfemi_contact_place(c, t, row, h);
+            continue;
+        }
+        sfemi_contact_point_of(t, row, w, h, x);
+        sfemi_obstacle_to_local(o->to, o->to_axes, x, y);
+        s = sfemi_obstacle_distance(o, y, n);
+        if (s < 1e299 && (sfemi_dot3(n, row->local_normal) > 0.3 || (s > 0 && sfemi_contact_has_left(t, o, row, h, y)))) {
+            memcpy(row->local_normal, n, sizeof n);
+            for (k = 0; k < 3; ++k) row->local_place[k] = y[k] - s * n[k];
+        }
+        sfemi_contact_place(c, t, row, h);
+    }
+}
+
+/* Rows of faces are of points that stay: where the obstacle slides or the face rolls, another one is made beside. Is
+ * there one nearby, or no more room? */
+static int sfemi_contact_face_is_touched(const sfemi_touch *t, const sfemi_row *row)
+{
+    enum { MOST = 8 };
+    const sfem_real near = 0.02;
+    sfem_int i;
+    int k, there = 0;
+    for (i = 0; i < t->rows; ++i) {
+        const sfemi_row *r = t->row + i;
+        sfem_real apart = 0;
+        if (r->feature != row->feature || r->obstacle != row->obstacle) continue;
+        for (k = 0; k < 3; ++k) apart = fmax(apart, fabs(r->weight[k] - row->weight[k]));
+        if (apart < near || ++there == MOST) return 1;
+    }
+    return 0;
+}
+
+/* Faces of the body that meet an obstacle between their nodes, and have no row with it there. */
+static sfem_status sfemi_contact_detect_faces(sfem_contact *c, sfemi_touch *t, sfem_int obstacle, const sfem_real *w,
+                                              sfem_real h, sfem_error *err)
+{
+    const sfemi_obstacle *o = c->obstacle + obstacle;
+    const sfem_int nodes = t->body->model->mesh.nodes;
+    sfem_status status = SFEM_OK;
+    sfem_int i;
+    for (i = 0; i < t->triangles; ++i) {
+        const sfem_int *tri = t->tri + 3 * (size_t)i;
+        sfem_real first[9], corner[9];
+        sfemi_row row;
+        memset(&row, 0, sizeof row);
+        if (!sfemi_contact_face_meets(t, o, tri, w, h, row.weight)) continue;
+        row.feature = nodes + i;
+        row.obstacle = obstacle;
+        if (sfemi_contact_face_is_touched(t, &row)) continue;
+        memcpy(row.node, tri, 3 * sizeof *tri);
+        row.parts = 3;
+        sfemi_contact_face_at(t, o, tri, w, 0, 0, first);
+        sfemi_contact_face_at(t, o, tri, w, h, 1, corner);
+        if (!sfemi_contact_face_plane(o, first, corner, 1e-3 * t->edge, &row)) continue;
+        row.fresh = 1;
+        sfemi_contact_rate(c, t, &row);
+        sfemi_contact_place(c, t, &row, h);
+        sfemi_contact_bounce(c, t, &row, h);
+        SFEMI_TRY(sfemi_contact_append(c, t, &row, err));
+    }
+done:
+    return status;
+}
+
+/* The rows of a body that moves by w in the step; found: new ones. */
+static sfem_status sfemi_contact_detect(sfem_contact *c, sfemi_touch *t, const sfem_real *w, sfem_real h,
+                                        sfem_int *found, sfem_error *err)
+{
+    const sfem_real *rest = t->body->model->mesh.x, *u = t->body->state.u;
+    const sfem_int before = t->rows;
+    sfem_status status = SFEM_OK;
+    sfem_real box[2][3];
+    sfem_int i;
+    int k;
+    for (k = 0; k < 3; ++k) box[0][k] = 1e300, box[1][k] = -1e300;
+    for (i = 0; i < t->nodes; ++i)
+        for (k = 0; k < 3; ++k) {
+            const size_t at = 3 * (size_t)t->node[i] + (size_t)k, to = 3 * (size_t)i + (size_t)k;
+            t->x0[to] = rest[at] + u[at];
+            t->x1[to] = t->x0[to] + h * w[at];
+            box[0][k] = fmin(box[0][k], fmin(t->x0[to], t->x1[to]));
+            box[1][k] = fmax(box[1][k], fmax(t->x0[to], t->x1[to]));
+        }
+    sfemi_contact_follow(c, t, w, h);
+    for (i = 0; i < c->obstacles; ++i) {
+        if (!sfemi_contact_pair(t, c->obstacle + i) || sfemi_obstacle_is_far(c->obstacle + i, box, 1e-3 * t->edge))
+            continue;
+        SFEMI_TRY(sfemi_contact_detect_nodes(c, t, i, h, err));
+    }
+    /* faces once their nodes do not go through any more: else all that a plate is passed by would have rows */
+    for (i = 0; i < c->obstacles && t->rows == before; ++i) {
+        if (c->obstacle[i].def.kind == SFEM_OBSTACLE_PLANE || !sfemi_contact_pair(t, c->obstacle + i) ||
+            sfemi_obstacle_is_far(c->obstacle + i, box, 1e-3 * t->edge))
+            continue;
+        SFEMI_TRY(sfemi_contact_detect_faces(c, t, i, w, h, err));
+    }
+done:
+    *found = t->rows - before;
+    return status;
+}
+
+/* ---- columns ---- */
+
+static void sfemi_columns_release(sfem_contact *c, sfemi_touch *t)
+{
+    sfemi_columns *k = t->columns, **link = &c->columns;
+    sfem_int i;
+    if (!k) return;
+    t->columns = NULL;
+    if (--k->users) return;
+    while (*link != k) link = &(*link)->next;
+    *link = k->next;
+    for (i = 0; k->at && i < k->surface; ++i) {
+        if (!k->at[i]) continue;
+        c->column_bytes -= 9 * (size_t)k->surface * sizeof(float);
+        --c->info.columns;
+        sfemi_delete(&c->def.allocator, k->at[i]);
+    }
+    if (k->owned) sfemi_factor_release(k->model, k->factor);
+    sfemi_delete(&c->def.allocator, k->at);
+    sfemi_delete(&c->def.allocator, k->used);
+    sfemi_delete(&c->def.allocator, k->node);
+    sfemi_delete(&c->def.allocator, k->index);
+    sfemi_delete(&c->def.allocator, k);
+}
+
+/* For the factor that the body steps with now: those of another body with the same, or none yet. */
+static sfem_status sfemi_columns_get(sfem_contact *c, sfemi_touch *t, sfem_error *err)
+{
+    sfem_body *b = t->body;
+    const sfem_factor *f = sfemi_body_active(b);
+    const int owned = f == b->factor;
+    const int64_t stamp = owned ? 2 * t->whole : 2 * b->refactor.made + 1;
+    const sfem_allocator *al = &c->def.allocator;
+    sfemi_columns *k = t->columns;
+    sfem_status status = SFEM_OK;
+    sfem_int i, node, surface;
+    if (k && k->factor == f && k->stamp == stamp) return SFEM_OK;
+    sfemi_columns_release(c, t);
+    for (k = c->columns; k && !(k->factor == f && k->stamp == stamp && owned);) k = k->next;
+    if (!k) {
+        SFEMI_NEW(sfemi_columns, k, al, 1);
+        k->users = 1;
+        k->next = c->columns; /* in the list from here on: release takes it out again */
+        c->columns = t->columns = k;
+        k->model = b->model;
+        k->stamp = stamp;
+        k->surface = surface = t->nodes;
+        SFEMI_NEW(sfem_int, k->index, al, b->model->mesh.nodes);
+        SFEMI_NEW(sfem_int, k->node, al, surface);
+        SFEMI_NEW(float *, k->at, al, surface);
+        SFEMI_NEW(int64_t, k->used, al, surface);
+        for (node = 0; node < b->model->mesh.nodes; ++node) k->index[node] = -1;
+        for (i = 0; i < surface; ++i) {
+            k->node[i] = t->node[i];
+            k->index[t->node[i]] = i;
+        }
+        memcpy((void *)&k->factor, (const void *)&f, sizeof f); /* a reference: it is counted, never written to */
+        k->owned = owned;
+        if (!owned) return SFEM_OK;
+        sfemi_lock(&b->model->lock);
+        ++k->factor->references;
+        sfemi_unlock(&b->model->lock);
+        return SFEM_OK;
+    }
+    ++k->users;
+    t->columns = k;
+    return SFEM_OK;
+done:
+    if (t->columns) sfemi_columns_release(c, t);
+    return status;
+}
+
+/* The columns that have not been of use for longest go. */
+static int sfemi_columns_drop_oldest(sfem_contact *c)
+{
+    sfemi_columns *k, *oldest = NULL;
+    sfem_int i, at = -1;
+    for (k = c->columns; k; k = k->next)
+        for (i = 0; i < k->surface; ++i) {
+            if (!k->at[i] || k->used[i] >= c->step) continue;
+            if (!oldest || k->used[i] < oldest->used[at]) oldest = k, at = i;
+        }
+    if (!oldest) return 0;
+    sfemi_delete(&c->def.allocator, oldest->at[at]);
+    oldest->at[at] = NULL;
+    c->column_bytes -= 9 * (size_t)oldest->surface * sizeof(float);
+    --c->info.columns;
+    return 1;
+}
+
+enum { SFEMI_COLUMN_BATCH = 8 }; /* nodes whose three columns are solved for at a time */
+
+/* Those of `count` nodes, numbers in k->node. */
+static sfem_status sfemi_columns_make(sfem_contact *c, const sfemi_touch *t, const sfem_int *which, sfem_int count,
+                                      sfem_error *err)
+{
+    sfemi_columns *k = t->columns;
+    const sfem_int nodes = k->model->mesh.nodes;
+    const size_t n = 3 * (size_t)nodes, s = 3 * (size_t)k->surface, bytes = 3 * s * sizeof(float);
+    sfem_status status = SFEM_OK;
+    sfem_int i, j;
+    int a, r;
+    SFEMI_CONTACT_ROOM(c, c->rhs, c->rhs_room, 3 * (size_t)count * n);
+    SFEMI_CONTACT_ROOM(c, c->work, c->work_room, sfemi_factor_work_size(k->factor, 3 * count));
+    memset(c->rhs, 0, 3 * (size_t)count * n * sizeof *c->rhs);
+    for (i = 0; i < count; ++i)
+        for (a = 0; a < 3; ++a) {
+            const size_t at = 3 * (size_t)k->node[which[i]] + (size_t)a;
+            if (!(k->factor->mask[at / 3] >> a & 1)) c->rhs[(3 * (size_t)i + (size_t)a) * n + at] = 1;
+        }
+    sfemi_factor_solve(k->factor, nodes, 3 * count, c->rhs, c->rhs, c->work, &t->body->exec);
+    for (i = 0; i < count; ++i) {
+        float *to;
+        while (c->column_bytes + bytes > c->def.cache_bytes && sfemi_columns_drop_oldest(c)) {}
+        SFEMI_NEW(float, to, &c->def.allocator, 3 * s);
+        k->at[which[i]] = to;
+        k->used[which[i]] = c->step;
+        c->column_bytes += bytes;
+        ++c->info.columns;
+        ++c->info.columns_made;
+        for (a = 0; a < 3; ++a)
+            for (j = 0; j < k->surface; ++j)
+                for (r = 0; r < 3; ++r)
+                    to[(size_t)a * s + 3 * (size_t)j + (size_t)r] =
+                        (float)c->rhs[(3 * (size_t)i + (size_t)a) * n + 3 * (size_t)k->node[j] + (size_t)r];
+    }
+done:
+    return status;
+}
+
+/* Those of all nodes of the system's part first .. first + count. */
+static sfem_status sfemi_columns_need(sfem_contact *c, const sfemi_touch *t, sfem_int first, sfem_int count,
+                                      sfem_error *err)
+{
+    sfemi_columns *k = t->columns;
+    sfem_int which[SFEMI_COLUMN_BATCH], missing = 0, i;
+    sfem_status status = SFEM_OK;
+    for (i = first; i < first + count; ++i) k->used[k->index[c->node[i].node]] = c->step;
+    for (i = first; i < first + count; ++i) {
+        const sfem_int at = k->index[c->node[i].node];
+        if (!k->at[at]) which[missing++] = at;
+        if (missing < SFEMI_COLUMN_BATCH && !(missing && i + 1 == first + count)) continue;
+        SFEMI_TRY(sfemi_columns_make(c, t, which, missing, err));
+        missing = 0;
+    }
+done:
+    return status;
+}
+
+/* ---- a system of cones ---- */
+
+typedef struct sfemi_island { /* bodies that have rows in common: one, as long as bodies do not touch each other */
+    sfem_int first, count;
+} sfemi_island;
+
+static const sfem_real sfemi_contact_no_frame[9] = {1, 0, 0, 0, 1, 0, 0, 0, 1};
+
+/* The frame of a node in the iteration that is under way. */
+static const sfem_real *sfemi_contact_frame(const sfemi_touch *t, sfem_int node)
+{
+    const sfem_body *b = t->body;
+    if (!b->scheme.rotates) return sfemi_contact_no_frame;
+    if (b->phase == SFEMI_PREDICTED || b->safeguard.bounded) return b->state.frame + 9 * (size_t)node; /* the trial */
+    return b->safeguard.frame + 9 * (size_t)node;
+}
+
+/* The compact G of one body's nodes. */
+static sfem_status sfemi_contact_gather(sfem_contact *c, const sfemi_touch *t, sfem_int first, sfem_int count,
+                                        float *g, sfem_error *err)
+{
+    const sfemi_columns *k = t->columns;
+    const size_t s = 3 * (size_t)k->surface, n3 = 3 * (size_t)count;
+    sfem_status status = SFEM_OK;
+    sfem_int i, j;
+    size_t a;
+    SFEMI_TRY(sfemi_columns_need(c, t, first, count, err));
+    for (i = first; i < first + count; ++i, g += 3 * n3) {
+        const float *from = k->at[k->index[c->node[i].node]];
+        c->node[i].first = first;
+        c->node[i].count = count;
+        c->node[i].g = g;
+        for (a = 0; a < 3; ++a)
+            for (j = 0; j < count; ++j)
+                memcpy(g + a * n3 + 3 * (size_t)j, from + a * s + 3 * (size_t)k->index[c->node[first + j].node],
+                       3 * sizeof *g);
+    }
+done:
+    return status;
+}
+
+/* Row's matrices: v += turn v~ of its nodes, d = J G J^T. */
+static void sfemi_contact_set_up_row(const sfem_contact *c, const sfemi_touch *t, sfemi_row *row, sfem_real h,
+                                     sfem_real span)
+{
+    sfem_real x0[3], cofactor[9], det;
+    int k, j, a, b;
+    for (k = 0; k < row->parts; ++k) {
+        sfemi_mul3(row->axes, sfemi_contact_frame(t, row->node[k]), row->rotated[k]);
+        for (a = 0; a < 9; ++a) row->rotated[k][a] *= row->weight[k];
+    }
+    memset(row->d, 0, sizeof row->d);
+    for (k = 0; k < row->parts; ++k)
+        for (j = 0; j < row->parts; ++j) {
+            const sfemi_contact_node *from = c->node + row->at[k];
+            const size_t n3 = 3 * (size_t)from->count, at = 3 * (size_t)(row->at[j] - from->first);
+            sfem_real block[9], half[9], both[9];
+            for (a = 0; a < 3; ++a)
+                for (b = 0; b < 3; ++b) block[3 * a + b] = (sfem_real)from->g[(size_t)b * n3 + at + (size_t)a];
+            sfemi_mul3(row->rotated[j], block, half);
+            sfemi_mul3_nt(half, row->rotated[k], both);
+            for (a = 0; a < 9; ++a) row->d[a] += both[a];
+        }
+    row->soft = row->compliance / (h * span);
+    row->d[0] += row->soft;
+    sfemi_cofactor3(row->d, cofactor);
+    det = sfemi_dot3(row->d, cofactor);
+    for (a = 0; a < 9; ++a) row->inverse[a] = det > 0 ? cofactor[a % 3 * 3 + a / 3] / det : 0; /* 0: it is held */
+    sfemi_contact_point_of(t, row, NULL, h, x0);
+    sfemi_sub3(x0, row->place, x0);
+    row->bias[0] = (sfemi_dot3(row->axes, x0) - row->least) / h;
+    if (row->bounce > 0)
+        row->bias[0] = fmin(row->bias[0], -sfemi_dot3(row->axes, row->speed) - row->bounce);
+    for (a = 1; a < 3; ++a) row->bias[a] = -sfemi_dot3(row->axes + 3 * a, row->speed);
+    for (a = 0; a < 3; ++a) row->l[a] = sfemi_dot3(row->axes + 3 * a, row->impulse);
+}
+
+/* Is a before b? By feature, then obstacle: the order does not depend on when they were found. */
+static int sfemi_contact_precedes(const sfemi_row *a, const sfemi_row *b)
+{
+    if (a->feature != b->feature) return a->feature < b->feature;
+    if (a->obstacle != b->obstacle) return a->obstacle < b->obstacle;
+    return a->weight[0] != b->weight[0] ? a->weight[0] < b->weight[0] : a->weight[1] < b->weight[1];
+}
+
+/* c->list of an island's rows in order. */
+static sfem_status sfemi_contact_enlist(sfem_contact *c, sfemi_island island, sfem_int *count, sfem_error *err)
+{
+    sfem_status status = SFEM_OK;
+    sfem_int i, k, n = 0, gap;
+    for (i = island.first; i < island.first + island.count; ++i) {
+        sfemi_touch *t = c->touch + i;
+        sfemi_row **list;
+        SFEMI_CONTACT_LIST(c, c->list, c->list_room, n + t->rows);
+        list = c->list + n;
+        for (k = 0; k < t->rows; ++k) list[k] = t->row + k;
+        for (gap = t->rows / 2; gap > 0; gap /= 2) /* [Shell 1959] */
+            for (k = gap; k < t->rows; ++k) {
+                sfemi_row *row = list[k];
+                sfem_int j = k;
+                for (; j >= gap && sfemi_contact_precedes(row, list[j - gap]); j -= gap) list[j] = list[j - gap];
+                list[j] = row;
+            }
+        n += t->rows;
+    }
+    *count = n;
+done:
+    return status;
+}
+
+/* The system of an island: its nodes, G, rows. */
+static sfem_status sfemi_contact_assemble(sfem_contact *c, sfemi_island island, sfem_int *count, sfem_error *err)
+{
+    sfem_status status = SFEM_OK;
+    sfem_int i, j, at = 0;
+    size_t g = 0;
+    int k;
+    SFEMI_TRY(sfemi_contact_enlist(c, island, count, err));
+    c->nodes = 0;
+    SFEMI_CONTACT_LIST(c, c->node, c->node_room, SFEMI_CONTACT_PARTS * *count + 1);
+    SFEMI_CONTACT_ROOM(c, c->v, c->v_room, 3 * (SFEMI_CONTACT_PARTS * (size_t)*count + 1));
+    SFEMI_CONTACT_ROOM(c, c->v0, c->v0_room, 3 * (SFEMI_CONTACT_PARTS * (size_t)*count + 1));
+    for (i = island.first; i < island.first + island.count; ++i) {
+        sfemi_touch *t = c->touch + i;
+        const sfem_int first = c->nodes;
+        for (j = 0; j < t->rows; ++j, ++at)
+            for (k = 0; k < c->list[at]->parts; ++k) {
+                sfemi_row *row = c->list[at];
+                if (t->row_of[row->node[k]] < 0) {
+                    c->node[c->nodes].body = i;
+                    c->node[c->nodes].node = row->node[k];
+                    t->row_of[row->node[k]] = c->nodes++;
+                }
+                row->at[k] = t->row_of[row->node[k]];
+            }
+        for (j = first; j < c->nodes; ++j) t->row_of[c->node[j].node] = -1;
+        g += 9 * (size_t)(c->nodes - first) * (size_t)(c->nodes - first);
+    }
+    SFEMI_CONTACT_ROOM(c, c->g, c->g_room, g);
+    for (i = 0, g = 0; i < c->nodes;) {
+        sfem_int n = i;
+        while (n < c->nodes && c->node[n].body == c->node[i].body) ++n;
+        SFEMI_TRY(sfemi_columns_get(c, c->touch + c->node[i].body, err));
+        SFEMI_TRY(sfemi_contact_gather(c, c->touch + c->node[i].body, i, n - i, c->g + g, err));
+        g += 9 * (size_t)(n - i) * (size_t)(n - i);
+        i = n;
+    }
+done:
+    return status;
+}
+
+/* v~ += G turn^T dl. */
+static void sfemi_contact_spread(const sfem_contact *c, const sfemi_row *row, const sfem_real dl[3])
+{
+    int k, a;
+    size_t i;
+    for (k = 0; k < row->parts; ++k) {
+        const sfemi_contact_node *node = c->node + row->at[k];
+        const size_t n3 = 3 * (size_t)node->count;
+        const float *SFEMI_RESTRICT g = node->g;
+        sfem_real *SFEMI_RESTRICT v = c->v + 3 * (size_t)node->first, l[3];
+        for (a = 0; a < 3; ++a)
+            l[a] = row->rotated[k][a] * dl[0] + row->rotated[k][3 + a] * dl[1] + row->rotated[k][6 + a] * dl[2];
+        for (i = 0; i < n3; ++i)
+            v[i] += (sfem_real)g[i] * l[0] + (sfem_real)g[n3 + i] * l[1] + (sfem_real)g[2 * n3 + i] * l[2];
+    }
+}
+
+/* The impulse of one row with all others as they are: exact where it sticks or leaves; where it slides, the normal part
+ * and then the tangential one, cut back to its disc. u: its velocity, with the bias. */
+static void sfemi_contact_solve_row(const sfemi_row *row, const sfem_real u[3], sfem_real l[3])
+{
+    const sfem_real *d = row->d, mu = row->friction;
+    sfem_real dl, rate, size;
+    int a;
+    if (mu > 0) {
+        for (a = 0; a < 3; ++a) l[a] = row->l[a] - sfemi_dot3(row->inverse + 3 * a, u);
+        if (l[0] > 0 && l[1] * l[1] + l[2] * l[2] <= mu * mu * l[0] * l[0] && row->inverse[0] > 0) return;
+    }
+    l[0] = d[0] > 0 ? fmax(0.0, row->l[0] - u[0] / d[0]) : 0;
+    l[1] = l[2] = 0;
+    if (!(mu > 0 && l[0] > 0)) return;
+    dl = l[0] - row->l[0];
+    rate = (d[4] + d[8]) / 2 + sqrt((d[4] - d[8]) * (d[4] - d[8]) / 4 + d[5] * d[5]); /* its largest eigenvalue */
+    for (a = 1; a < 3; ++a) l[a] = row->l[a] - (u[a] + d[3 * a] * dl) / rate;
+    size = sqrt(l[1] * l[1] + l[2] * l[2]);
+    for (a = 1; size > mu * l[0] && a < 3; ++a) l[a] *= mu * l[0] / size;
+}
+
+/* Sweeps over `count` rows, whose nodes have the velocities c->v, impulses row->l, until these change little. */
+static void sfemi_contact_sweep(sfem_contact *c, sfem_int count)
+{
+    sfem_int sweep, i;
+    int k, a;
+    ++c->info.systems;
+    for (sweep = 0; sweep < c->def.sweeps; ++sweep) {
+        sfem_real change = 0, size = 0;
+        for (i = 0; i < count; ++i) {
+            sfemi_row *row = c->list[i];
+            sfem_real u[3], l[3], dl[3];
+            memcpy(u, row->bias, sizeof u);
+            u[0] += row->soft * row->l[0];
+            for (k = 0; k < row->parts; ++k)
+                for (a = 0; a < 3; ++a) u[a] += sfemi_dot3(row->rotated[k] + 3 * a, c->v + 3 * (size_t)row->at[k]);
+            sfemi_contact_solve_row(row, u, l);
+            sfemi_sub3(l, row->l, dl);
+            if (dl[0] == 0 && dl[1] == 0 && dl[2] == 0) continue;
+            sfemi_contact_spread(c, row, dl);
+            memcpy(row->l, l, sizeof l);
+            change += row->d[0] * sfemi_dot3(dl, dl);
+        }
+        ++c->info.sweeps;
+        for (i = 0; i < count; ++i) size += c->list[i]->d[0] * sfemi_dot3(c->list[i]->l, c->list[i]->l);
+        if (change <= c->def.tolerance * c->def.tolerance * size) break;
+    }
+}
+
+/* ---- impulses in a body's step ---- */
+
+/* How long an impulse acts in the iteration under way, so that impulse/span is its force. */
+static sfem_real sfemi_contact_span(const sfemi_touch *t)
+{
+    return t->fallback ? t->body->step.h : sfemi_body_span(t->body);
+}
+
+/* x = J^T of the rows' `by`: their change of impulses in the last system, or the impulses. */
+static void sfemi_contact_transpose(const sfemi_touch *t, int change, sfem_real *x)
+{
+    sfem_int i;
+    int k, c;
+    memset(x, 0, 3 * (size_t)t->body->model->mesh.nodes * sizeof *x);
+    for (i = 0; i < t->rows; ++i) {
+        const sfemi_row *row = t->row + i;
+        for (k = 0; k < row->parts; ++k)
+            for (c = 0; c < 3; ++c)
+                x[3 * (size_t)row->node[k] + (size_t)c] +=
+                    row->weight[k] * (change ? row->change[c] : row->impulse[c]);
+    }
+}
+
+/* Enters the impulses x in what the step has of the caller's: energy budget and rejected steps take it from there. */
+static void sfemi_contact_book(const sfemi_touch *t, const sfem_real *x)
+{
+    sfem_body *b = t->body;
+    const sfem_real over = 1 / sfemi_contact_span(t);
+    size_t i;
+    if (!b->scheme.rotates) return;
+    if (!b->kicked) memset(b->kick, 0, 3 * (size_t)b->model->mesh.nodes * sizeof *b->kick);
+    b->kicked = 1;
+    for (i = 0; i < 3 * (size_t)b->model->mesh.nodes; ++i) {
+        b->kick[i] += x[i];
+        b->safeguard.added[i] += over * x[i];
+    }
+}
+
+/* x = A^-1 x: what impulses x do to velocities in the trial. Handles stay where they are. */
+static void sfemi_contact_respond(sfem_contact *c, const sfemi_touch *t, sfem_real *x)
+{
+    sfem_body *b = t->body;
+    const size_t held = 3 * (size_t)b->schur.count;
+    const sfem_real over = 1 / sfemi_contact_span(t);
+    const sfem_int nodes = b->model->mesh.nodes;
+    size_t i;
+    int k;
+    sfem_int p;
+    if (held) {
+        memcpy(c->lambda, b->schur.lambda, held * sizeof *c->lambda);
+        memset(b->schur.lambda, 0, held * sizeof *c->lambda);
+    }
+    if (b->scheme.rotates) {
+        sfemi_rotated_solve_system(b, sfemi_body_active(b), b->state.u, b->state.frame, x);
+        ++b->state.head->solves;
+        if (held) sfemi_safeguard_apply_handles(b, &b->schur, b->state.frame, x);
+    } else {
+        const int settles = sfemi_rotated_projects(b);
+        if (settles) sfemi_rotated_motion(b, NULL, x, 0);
+        for (p = 0; settles && p < b->rotated.pieces; ++p)
+            for (k = 0; k < 6; ++k) b->rotated.piece[p].rigid[k] = b->rotated.piece[p].motion[k];
+        for (i = 0; i < 3 * (size_t)nodes; ++i)
+            if (b->mask[i / 3] >> (i % 3) & 1) x[i] = 0;
+        sfemi_factor_solve(b->factor, nodes, 1, x, x, b->workspace->work, &b->exec);
+        if (settles) sfemi_rotated_correct_momentum(b, b->factor->key.cm, x);
+        if (held) sfemi_schur_apply(&b->schur, &b->state, nodes, x);
+    }
+    for (i = 0; i < held; ++i) b->schur.lambda[i] = c->lambda[i] + over * b->schur.lambda[i];
+}
+
+/* c->w: the mean velocity that the trial's acceleration leads to. */
+static void sfemi_contact_trial_velocity(sfem_contact *c, const sfemi_touch *t)
+{
+    const sfem_body *b = t->body;
+    const sfem_real *base = sfemi_pqr_base(b), d = b->step.d;
+    size_t i;
+    for (i = 0; i < 3 * (size_t)b->model->mesh.nodes; ++i) c->w[i] = base[i] + d * b->acc[i];
+}
+
+/* The cones of an island with its bodies at w' - dir, or in the trial at c->w (one body). Leaves the rows' changes,
+ * and in each body what energy they are, and all impulses. */
+static sfem_status sfemi_contact_press(sfem_contact *c, sfemi_island island, int trial, sfem_error *err)
+{
+    sfem_status status = SFEM_OK;
+    sfem_int count, i;
+    int k, a;
+    for (i = island.first; i < island.first + island.count; ++i) c->touch[i].change = c->touch[i].size = c->touch[i].expected = 0;
+    SFEMI_TRY(sfemi_contact_assemble(c, island, &count, err));
+    if (!count) return SFEM_OK;
+    for (i = 0; i < c->nodes; ++i) {
+        const sfemi_touch *t = c->touch + c->node[i].body;
+        const sfemi_safeguard *g = &t->body->safeguard;
+        const sfem_real *q = sfemi_contact_frame(t, c->node[i].node);
+        sfem_real v[3];
+        for (k = 0; k < 3; ++k) {
+            const size_t at = 3 * (size_t)c->node[i].node + (size_t)k;
+            v[k] = trial ? c->w[at] : t->done ? g->w[at] : g->w[at] - g->dir[at];
+        }
+        for (k = 0; k < 3; ++k) c->v[3 * i + k] = q[k] * v[0] + q[3 + k] * v[1] + q[6 + k] * v[2];
+    }
+    for (i = island.first; i < island.first + island.count; ++i) {
+        sfemi_touch *t = c->touch + i;
+        sfem_int j;
+        for (j = 0; j < t->rows; ++j)
+            sfemi_contact_set_up_row(c, t, t->row + j, t->body->step.h, sfemi_contact_span(t));
+    }
+    memcpy(c->v0, c->v, 3 * (size_t)c->nodes * sizeof *c->v);
+    sfemi_contact_sweep(c, count);
+    for (i = island.first; i < island.first + island.count; ++i) {
+        sfemi_touch *t = c->touch + i;
+        sfem_int j;
+        for (j = 0; j < t->rows; ++j) {
+            sfemi_row *row = t->row + j;
+            sfem_real dl[3];
+            for (k = 0; k < 3; ++k) {
+                sfem_real l = 0;
+                for (a = 0; a < 3; ++a) l += row->axes[3 * a + k] * row->l[a];
+                row->change[k] = l - row->impulse[k];
+            }
+            for (a = 0; a < 3; ++a) dl[a] = sfemi_dot3(row->axes + 3 * a, row->change);
+            for (k = 0; k < row->parts; ++k)
+                for (a = 0; a < 3; ++a) {
+                    const size_t at = 3 * (size_t)row->at[k];
+                    const sfem_real dv[3] = {c->v[at] - c->v0[at], c->v[at + 1] - c->v0[at + 1], c->v[at + 2] - c->v0[at + 2]};
+                    t->expected += dl[a] * sfemi_dot3(row->rotated[k] + 3 * a, dv);
+                }
+            for (a = 0; a < 3; ++a) {
+                t->change += dl[a] * sfemi_dot3(row->d + 3 * a, dl) / 2;
+                t->size += row->l[a] * sfemi_dot3(row->d + 3 * a, row->l) / 2;
+            }
+        }
+    }
+done:
+    return status;
+}
+
+/* Takes so much of the changes of the last system: c->x = J^T dl, entered in the step. */
+static void sfemi_contact_take_change(sfem_contact *c, sfemi_touch *t, sfem_real part)
+{
+    sfem_int i;
+    int k;
+    for (i = 0; i < t->rows; ++i)
+        for (k = 0; k < 3; ++k) {
+            t->row[i].change[k] *= part;
+            t->row[i].impulse[k] += t->row[i].change[k];
+        }
+    sfemi_contact_transpose(t, 1, c->x);
+    sfemi_contact_book(t, c->x);
+}
+
+/* Of the response `after` - `before` to the changes dl of impulses, against what G has for it: dl.J dw/(dl.G dl). Above 1
+ * the change would overshoot, as in a body so compressed that it is softer than at rest: it is divided by that, and stays
+ * in its cones. */
+static sfem_real sfemi_contact_response(const sfemi_touch *t, const sfem_real *before, const sfem_real *after)
+{
+    sfem_real does = 0;
+    sfem_int i;
+    int k, a;
+    for (i = 0; i < t->rows; ++i)
+        for (k = 0; k < t->row[i].parts; ++k)
+            for (a = 0; a < 3; ++a) {
+                const size_t at = 3 * (size_t)t->row[i].node[k] + (size_t)a;
+                does += t->row[i].weight[k] * t->row[i].change[a] * (after[at] - (before ? before[at] : 0));
+            }
+    return t->expected > 0 ? does / t->expected : 1;
+}
+
+/* J: changes of impulses below the tolerance are left to the next step. */
+static sfem_real sfemi_contact_negligible(const sfem_contact *c, const sfemi_touch *t)
+{
+    return c->def.tolerance * c->def.tolerance * t->size;
+}
+
+/* ---- the trial ---- */
+
+/* The step's right side, with the impulses of the last one. */
+static sfem_status sfemi_contact_begin(sfem_contact *c, sfemi_touch *t, sfem_real h, sfem_error *err)
+{
+    sfem_body *b = t->body;
+    sfem_status status;
+    sfem_int i;
+    int k;
+    size_t at;
+    b->rotated.by_hand = t->rows > 0 || b->state.head->step_forces;
+    b->kicked = 0;
+    t->fallback = t->lost = 0;
+    status = sfemi_body_predict(b, h, err);
+    if (status == SFEM_OK) sfemi_step_force_apply(b);
+    if (status != SFEM_OK || !t->rows) return status;
+    for (i = 0; i < t->rows; ++i)
+        for (k = 0; k < 3; ++k) t->row[i].impulse[k] = sfemi_contact_span(t) * t->row[i].force[k];
+    sfemi_contact_transpose(t, 0, c->x);
+    for (at = 0; at < 3 * (size_t)b->model->mesh.nodes; ++at) b->rhs[at] += c->x[at] / sfemi_contact_span(t);
+    if (!b->scheme.rotates) return status; /* else `added` finds it in the right side */
+    if (!b->kicked) memset(b->kick, 0, 3 * (size_t)b->model->mesh.nodes * sizeof *b->kick);
+    for (at = 0; at < 3 * (size_t)b->model->mesh.nodes; ++at) b->kick[at] += c->x[at]; /* step forces are there already */
+    b->kicked = 1;
+    return status;
+}
+
+/* The trial of one body, with contact. */
+static sfem_status sfemi_contact_try(sfem_contact *c, sfem_int index, sfem_error *err)
+{
+    enum { ROUNDS = 3 };
+    sfemi_touch *t = c->touch + index;
+    sfem_body *b = t->body;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    sfemi_island island;
+    sfem_status status = SFEM_OK;
+    sfem_real part, response;
+    int round;
+    island.first = index;
+    island.count = 1;
+    if (b->scheme.rotates) sfemi_safeguard_try(b);
+    else SFEMI_TRY(b->scheme.method->solve(b, err));
+    SFEMI_TRY(sfemi_method_check_acceleration(b, err));
+    for (round = 0; round < ROUNDS; ++round) {
+        sfem_int found;
+        size_t i;
+        sfemi_contact_trial_velocity(c, t);
+        SFEMI_TRY(sfemi_contact_detect(c, t, c->w, b->step.h, &found, err));
+        if (!t->rows || (round > 0 && !found && !(t->change > sfemi_contact_negligible(c, t)))) break;
+        SFEMI_TRY(sfemi_contact_press(c, island, 1, err));
+        if (!(t->change > sfemi_contact_negligible(c, t))) break;
+        sfemi_contact_transpose(t, 1, c->x);
+        memcpy(c->y, c->x, n * sizeof *c->y);
+        sfemi_contact_respond(c, t, c->y);
+        response = sfemi_contact_response(t, NULL, c->y);
+        part = 1 / fmax(1.0, response);
+        sfemi_contact_take_change(c, t, part);
+        for (i = 0; i < n; ++i) b->acc[i] += part * c->y[i] / b->step.d;
+        SFEMI_TRY(sfemi_method_check_acceleration(b, err));
+        t->change *= fmax(fabs(part * response - 1), 0.01); /* what is left of it, about: along it, and across */
+    }
+    b->phase = SFEMI_SOLVED;
+    if (b->scheme.rotates) sfemi_safeguard_advance(b);
+done:
+    return status;
+}
+
+/* ---- corrections ---- */
+
+/* The rigid motions of c->x, impulses that change, are owed to the free pieces of a corrected step, whose equation has no
+ * rigid part: owed += scale times them. */
+static void sfemi_contact_owe(const sfem_contact *c, sfemi_touch *t, sfem_real scale)
+{
+    sfem_body *b = t->body;
+    sfem_int k;
+    int a;
+    if (!sfemi_correct_projects(b, &t->q)) return;
+    sfemi_rotated_motion(b, b->state.u, c->x, 0);
+    for (k = 0; k < b->rotated.pieces; ++k)
+        for (a = 0; a < 6; ++a) t->owed[6 * k + a] += scale * b->rotated.piece[k].motion[a] / b->factor->key.cm;
+}
+
+/* x += scale times the rigid motions owed. */
+static void sfemi_contact_pay(sfemi_touch *t, sfem_real scale, sfem_real *x)
+{
+    sfem_body *b = t->body;
+    sfem_int k;
+    if (!sfemi_correct_projects(b, &t->q)) return;
+    for (k = 0; k < b->rotated.pieces; ++k)
+        memcpy(b->rotated.piece[k].motion, t->owed + 6 * (size_t)k, 6 * sizeof *t->owed);
+    sfemi_rotated_add_motion(b, b->state.u, scale, 0, x);
+}
+
+/* The residual of the step in guard, and whether there is anything to correct. */
+static sfem_status sfemi_contact_open(sfem_contact *c, sfemi_touch *t, sfem_error *err)
+{
+    sfem_body *b = t->body;
+    sfemi_safeguard *g = &b->safeguard;
+    sfemi_state_head *head = b->state.head;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    sfem_status status = SFEM_OK;
+    size_t i;
+    t->done = 1;
+    t->cheap = 0;
+    SFEMI_CONTACT_LIST(c, t->owed, t->owed_room, 6 * b->rotated.pieces);
+    memset(t->owed, 0, 6 * (size_t)b->rotated.pieces * sizeof *t->owed);
+    if (!sfemi_finite(g->psi)) return SFEM_OK;
+    sfemi_correct_open(b, &t->q);
+    memset(g->external, 0, n * sizeof *g->external);
+    sfemi_body_take_from_load(b, b->step.load, g->external, g->external);
+    for (i = 0; i < n; ++i) g->external[i] += g->added[i];
+    sfemi_correct_residual(b, &t->q, g->w, g->f, g->grad);
+    for (i = 0; i < n; ++i) t->cheap += g->grad[i] * g->grad[i] * b->rotated.diagonal[i / 3];
+    t->cheap *= t->q.h * t->q.d;
+    t->done = !(t->cheap > 0);
+    t->tolerance = fmax(b->def.accuracy * head->scale, sfemi_correct_rounding(b, &t->q));
+    t->first = t->last = 0;
+    t->rate = head->rate > 0 ? head->rate : 0.3;
+    t->factor = sfemi_body_active(b);
+done:
+    return status;
+}
+
+/* Before the iteration: frames and pairs. */
+static void sfemi_contact_aim(sfemi_touch *t)
+{
+    sfem_body *b = t->body;
+    sfemi_safeguard *g = &b->safeguard;
+    g->pairs = g->made = g->dropped = g->converged = 0;
+    g->bounded = t->factor->key.upper_bound != 0;
+    if (g->bounded) sfemi_safeguard_do_not_rotate(b);
+    else {
+        memcpy(g->frame, b->state.frame, 9 * (size_t)b->model->mesh.nodes * sizeof *g->frame);
+        sfemi_rotated_frames(b, g->frame);
+    }
+    if (!t->fallback) sfemi_correct_recall(b, &t->q);
+    t->first = t->last = 0;
+    t->done = t->lost = 0;
+}
+
+/* After the cones: the direction with their impulses. 0: pairs of L-BFGS, of a place where the body was all but unstable,
+ * are no guide; without them, again. */
+static int sfemi_contact_redirect(sfem_contact *c, sfemi_touch *t)
+{
+    sfem_body *b = t->body;
+    sfemi_safeguard *g = &b->safeguard;
+    const sfem_real over = 1 / sfemi_contact_span(t);
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    sfem_real excess;
+    size_t i;
+    sfemi_contact_transpose(t, 1, c->x);
+    for (i = 0; i < n; ++i) {
+        c->y[i] = b->mask[i / 3] >> (i % 3) & 1 ? 0 : over * c->x[i];
+        c->w[i] = -g->dir[i];
+    }
+    if (sfemi_correct_projects(b, &t->q)) {
+        sfemi_rotated_motion(b, b->state.u, c->y, 0);
+        sfemi_rotated_add_motion(b, b->state.u, -1, 1, c->y);
+    }
+    for (i = 0; i < n; ++i) g->grad[i] -= c->y[i];
+    (void)sfemi_correct_direction(b, &t->q, t->factor);
+    sfemi_contact_owe(c, t, 1);
+    sfemi_contact_pay(t, -1, g->dir);
+    for (i = 0; i < n; ++i) g->other[i] = -g->dir[i];
+    excess = fmax(1.0, sfemi_contact_response(t, c->w, g->other));
+    if (g->pairs && (excess > 4 || !(sfemi_correct_dot(g->dir, g->grad, n) > 0))) {
+        sfemi_contact_owe(c, t, -1);
+        for (i = 0; i < n; ++i) g->grad[i] += c->y[i];
+        g->pairs = g->made = 0;
+        g->dropped = 1;
+        return 0;
+    }
+    if (excess > 1) {
+        sfemi_contact_owe(c, t, 1 / excess - 1);
+        for (i = 0; i < n; ++i) {
+            g->grad[i] += (1 - 1 / excess) * c->y[i];
+            g->dir[i] = -c->w[i] + (g->dir[i] + c->w[i]) / excess;
+        }
+    }
+    sfemi_contact_take_change(c, t, 1 / excess);
+    for (i = 0; i < n; ++i) g->external[i] += over * c->x[i];
+    t->decrement = t->q.h * sfemi_correct_dot(g->dir, g->grad, n);
+    return 1;
+}
+
+/* One correction of a body, along guard.dir. Sets done where no more is to be gained. */
+static void sfemi_contact_correct_body(sfem_contact *c, sfemi_touch *t)
+{
+    sfem_body *b = t->body;
+    sfemi_safeguard *g = &b->safeguard;
+    sfem_real length = 0, left;
+    sfem_int k;
+    if ((t->change > sfemi_contact_negligible(c, t) || t->change > 1e-3 * t->tolerance) && !sfemi_contact_redirect(c, t)) {
+        ++g->corrections;
+        return;
+    }
+    if (t->first > 0 && !(t->decrement < 1e3 * (t->first + b->state.head->scale))) {
+        t->done = t->lost = 1; /* it goes nowhere */
+        return;
+    }
+    if (t->first == 0) {
+        t->first = t->decrement;
+        if (t->fallback) t->tolerance = fmin(t->tolerance, 0.01 * (t->q.moving + t->first));
+    }
+    if (t->decrement > 0) length = sfemi_correct_search(b, &t->q, t->decrement);
+    if (length > 0) {
+        g->made += sfemi_correct_remember(b, length);
+        for (k = 0; k < 6 * b->rotated.pieces; ++k) t->owed[k] *= 1 - length;
+    } else if (g->pairs == 0) {
+        t->done = 1;
+        return;
+    }
+    if (!(length > 0)) {
+        g->pairs = g->made = 0;
+        g->dropped = 1;
+    }
+    ++g->corrections;
+    if (!(length > 0)) return;
+    if (t->last > 0) t->rate = (t->rate + fmin(1.0, t->decrement / t->last)) / 2;
+    t->last = t->decrement;
+    left = fmax(t->rate, 1 - length) * t->decrement;
+    if (t->fallback) left /= 1 - fmin(t->rate, 0.98);
+    g->converged = left < t->tolerance && (!t->fallback || sfemi_safeguard_excess(b) <= 0);
+    t->done = g->converged;
+}
+
+/* Corrects the bodies of an island together, `most` times at most. */
+static sfem_status sfemi_contact_iterate(sfem_contact *c, sfemi_island island, int most, sfem_error *err)
+{
+    sfem_status status = SFEM_OK;
+    sfem_int i, found;
+    int k, busy = 1;
+    for (k = 0; busy && k < most; ++k) {
+        for (i = island.first; i < island.first + island.count; ++i) {
+            sfemi_touch *t = c->touch + i;
+            if (t->done) continue;
+            SFEMI_TRY(sfemi_contact_detect(c, t, t->body->safeguard.w, t->body->step.h, &found, err));
+            t->decrement = sfemi_correct_direction(t->body, &t->q, t->factor);
+            sfemi_contact_pay(t, -1, t->body->safeguard.dir);
+        }
+        SFEMI_TRY(sfemi_contact_press(c, island, 0, err));
+        for (i = island.first, busy = 0; i < island.first + island.count; ++i) {
+            sfemi_touch *t = c->touch + i;
+            if (t->done) continue;
+            sfemi_contact_correct_body(c, t);
+            if (t->done) SFEMI_TRY(sfemi_contact_detect(c, t, t->body->safeguard.w, t->body->step.h, &found, err));
+            if (t->done && found) t->done = t->body->safeguard.converged = 0; /* it has met something else */
+            busy |= !t->done;
+        }
+    }
+done:
+    return status;
+}
+
+/* What is owed still, where searches went less than all the way. */
+static void sfemi_contact_settle_debts(sfemi_touch *t)
+{
+    sfem_body *b = t->body;
+    sfem_int k;
+    int owes = 0;
+    for (k = 0; k < 6 * b->rotated.pieces; ++k) owes |= t->owed[k] != 0;
+    if (!owes || !sfemi_correct_projects(b, &t->q)) return;
+    sfemi_contact_pay(t, 1, b->safeguard.w);
+    sfemi_correct_evaluate(b, &t->q);
+    sfemi_correct_residual(b, &t->q, b->safeguard.w, b->safeguard.f, b->safeguard.grad);
+}
+
+/* The deepest that a body's rows are inside at w' beyond what they may be, m. */
+static sfem_real sfemi_contact_depth(const sfemi_touch *t)
+{
+    sfem_real deepest = 0;
+    sfem_int i;
+    for (i = 0; i < t->rows; ++i) {
+        const sfemi_row *row = t->row + i;
+        sfem_real x[3], gap;
+        sfemi_contact_point_of(t, row, t->body->safeguard.w, t->body->step.h, x);
+        sfemi_sub3(x, row->place, x);
+        gap = sfemi_dot3(row->axes, x) - row->least +
+              row->compliance / sfemi_contact_span(t) * sfemi_dot3(row->axes, row->impulse);
+        deepest = fmax(deepest, -gap);
+    }
+    return deepest;
+}
+
+/* Where corrections have ended early rows may be violated: w' += A^-1 J^T dl until they are not. */
+static sfem_status sfemi_contact_separate(sfem_contact *c, sfemi_island island, sfem_error *err)
+{
+    enum { ROUNDS = 4 };
+    sfem_status status = SFEM_OK;
+    sfem_int i, found;
+    int round, busy = 1;
+    for (round = 0; busy && round < ROUNDS; ++round) {
+        for (i = island.first, busy = 0; i < island.first + island.count; ++i) {
+            sfemi_touch *t = c->touch + i;
+            t->done = 1;
+            if (t->rests || !t->body->scheme.rotates) continue;
+            SFEMI_TRY(sfemi_contact_detect(c, t, t->body->safeguard.w, t->body->step.h, &found, err));
+            if (!(sfemi_contact_depth(t) > 1e-3 * t->edge)) continue;
+            t->done = 0;
+            memset(t->body->safeguard.dir, 0, 3 * (size_t)t->body->model->mesh.nodes * sizeof(sfem_real));
+            busy = 1;
+        }
+        if (!busy) break;
+        SFEMI_TRY(sfemi_contact_press(c, island, 0, err));
+        for (i = island.first; i < island.first + island.count; ++i) {
+            sfemi_touch *t = c->touch + i;
+            sfem_body *b = t->body;
+            const size_t n = 3 * (size_t)b->model->mesh.nodes;
+            const sfem_real over = 1 / sfemi_contact_span(t);
+            sfem_real part;
+            size_t at;
+            if (t->done) continue;
+            sfemi_contact_transpose(t, 1, c->x);
+            memcpy(c->y, c->x, n * sizeof *c->y);
+            sfemi_contact_respond(c, t, c->y);
+            part = 1 / fmax(1.0, sfemi_contact_response(t, NULL, c->y));
+            sfemi_contact_take_change(c, t, part);
+            for (at = 0; at < n; ++at) {
+                b->safeguard.w[at] += part * c->y[at];
+                b->safeguard.external[at] += over * c->x[at];
+            }
+            sfemi_correct_evaluate(b, &t->q);
+            sfemi_correct_residual(b, &t->q, b->safeguard.w, b->safeguard.f, b->safeguard.grad);
+        }
+    }
+done:
+    return status;
+}
+
+/* The mean normal of the rows by their impulses, and the obstacles' speed along it. */
+static sfem_real sfemi_contact_mean_normal(const sfemi_touch *t, sfem_real normal[3])
+{
+    sfem_real sum = 0, speed = 0, length;
+    sfem_int i;
+    int a;
+    memset(normal, 0, 3 * sizeof *normal);
+    for (i = 0; i < t->rows; ++i) {
+        const sfemi_row *row = t->row + i;
+        const sfem_real l = sfemi_dot3(row->axes, row->impulse);
+        for (a = 0; a < 3; ++a) normal[a] += l * row->axes[a];
+        speed += l * sfemi_dot3(row->axes, row->speed);
+        sum += l;
+    }
+    length = sqrt(sfemi_dot3(normal, normal));
+    for (a = 0; length > 0 && a < 3; ++a) normal[a] /= length;
+    return sum > 0 ? speed / sum : 0;
+}
+
+/* S, the energy in motion, has what the contacts do, and for the safeguard what the body brings to them, along their
+ * normal: a free fall has none. */
+static void sfemi_contact_raise_scale(sfemi_touch *t, int working, int arriving)
+{
+    sfem_body *b = t->body;
+    const sfem_real *w = b->state.w, *w1 = b->safeguard.w;
+    sfem_real work = 0, half = 0, fall = 0, normal[3];
+    const sfem_real speed = sfemi_contact_mean_normal(t, normal);
+    sfem_int i, p;
+    int k, a;
+    for (i = 0; working && i < t->rows; ++i)
+        for (k = 0; k < t->row[i].parts; ++k)
+            for (a = 0; a < 3; ++a) {
+                const size_t at = 3 * (size_t)t->row[i].node[k] + (size_t)a;
+                const sfem_real l = t->row[i].weight[k] * t->row[i].impulse[a];
+                work += l * (w[at] + w1[at]) / 2;
+                half += l * (w1[at] - w[at]) / 2;
+            }
+    if (arriving && sfemi_rotated_projects(b)) {
+        sfemi_rotated_momentum(b, b->state.u, w, 1);
+        for (p = 0; p < b->rotated.pieces; ++p) {
+            const sfemi_piece *piece = b->rotated.piece + p;
+            const sfem_real v = sfemi_dot3(piece->motion, normal) / piece->mass - speed;
+            if (!piece->held) fall += piece->mass * v * v / 2;
+        }
+    }
+    if (arriving) t->arriving = fall;
+    b->state.head->scale = fmax(b->state.head->scale, fmax(fmax(fabs(work), fabs(half)), fall));
+}
+
+/* Forces act in the budget over the half steps on both sides of the state. Impulses do l.(w + w')/2 whatever their lengths
+ * are: the difference, but for what moves free pieces' centres of mass. */
+static sfem_real sfemi_contact_impact_work(sfemi_touch *t)
+{
+    sfem_body *b = t->body;
+    const sfem_real h = b->step.h, h1 = b->state.head->started == SFEMI_RUNNING ? b->state.head->h : 0;
+    const sfem_real span = sfemi_contact_span(t), now = 0.5 - h / (2 * span), past = 0.5 - h1 / (2 * span);
+    sfem_real work = 0;
+    sfem_int i, p;
+    int k;
+    if (h == h1) return 0;
+    for (p = 0; p < b->rotated.pieces; ++p) memset(b->rotated.piece[p].sum, 0, sizeof b->rotated.piece[p].sum);
+    for (i = 0; i < b->model->mesh.nodes; ++i)
+        for (k = 0; k < 3 && b->rotated.piece_of[i] >= 0; ++k) {
+            const size_t at = 3 * (size_t)i + (size_t)k;
+            sfemi_piece *piece = b->rotated.piece + b->rotated.piece_of[i];
+            const sfem_real way = now * b->safeguard.w[at] + past * b->state.w[at];
+            work += b->kick[at] * way;
+            piece->sum[0][k] += b->kick[at];
+            piece->sum[1][k] += b->model->node_mass[i] * way;
+        }
+    for (p = 0; p < b->rotated.pieces; ++p)
+        for (k = 0; !b->rotated.piece[p].held && k < 3; ++k)
+            work -= b->rotated.piece[p].sum[0][k] * b->rotated.piece[p].sum[1][k] / b->rotated.piece[p].mass;
+    return work;
+}
+
+/* From the trial to the solution, of an island. */
+static sfem_status sfemi_contact_correct(sfem_contact *c, sfemi_island island, sfem_error *err)
+{
+    enum { MOST = 40, AFTER_REJECTION = 8, SKIPS = 20 };
+    sfem_status status = SFEM_OK;
+    sfem_int i;
+    int most = AFTER_REJECTION, busy = 0;
+    for (i = island.first; i < island.first + island.count; ++i) {
+        sfemi_touch *t = c->touch + i;
+        sfem_body *b = t->body;
+        sfemi_state_head *head = b->state.head;
+        sfemi_safeguard_energies e;
+        sfem_real budget;
+        if (t->rests || b->scheme.rotates != SFEMI_CORRECTS) {
+            t->done = 1;
+            continue;
+        }
+        sfemi_contact_raise_scale(t, 1, 0);
+        SFEMI_TRY(sfemi_contact_open(c, t, err));
+        if (t->done) continue;
+        if (head->estimate > 0 && head->estimate * t->cheap < 10 * b->def.accuracy * head->scale &&
+            head->skipped < SKIPS && t->change <= sfemi_contact_negligible(c, t) && sfemi_safeguard_accepts(b, &e, &budget)) {
+            ++head->skipped;
+            t->done = 1;
+            if (b->schur.count) sfemi_correct_find_handle_forces(b);
+            t->cheap = 0;
+            continue;
+        }
+        head->skipped = 0;
+        sfemi_contact_aim(t);
+        busy = 1;
+        if (head->started != SFEMI_RESTARTED) most = MOST;
+    }
+    if (busy) SFEMI_TRY(sfemi_contact_iterate(c, island, most, err));
+    for (i = island.first; i < island.first + island.count; ++i)
+        if (c->touch[i].cheap > 0) sfemi_contact_settle_debts(c->touch + i);
+    if (busy) SFEMI_TRY(sfemi_contact_separate(c, island, err));
+    for (i = island.first; i < island.first + island.count; ++i) {
+        sfemi_touch *t = c->touch + i;
+        sfem_body *b = t->body;
+        sfemi_state_head *head = b->state.head;
+        const size_t n = 3 * (size_t)b->model->mesh.nodes;
+        size_t at;
+        if (t->rests || b->scheme.rotates != SFEMI_CORRECTS || !(t->cheap > 0)) continue;
+        if (t->first > 0) {
+            const sfem_real ratio = t->first / t->cheap;
+            head->estimate = fmax(ratio, head->estimate > 0 ? 0.7 * head->estimate + 0.3 * ratio : 0);
+        }
+        head->rate = t->rate;
+        if (b->schur.count) sfemi_correct_find_handle_forces(b);
+        for (at = 0; at < n; ++at) b->acc[at] = (b->safeguard.w[at] - b->state.w[at]) / t->q.d;
+    }
+done:
+    return status;
+}
+
+/* The work of the impulses on the velocities (part w + w') in the step beyond what they can do: obstacles that stand still
+ * give none. What there is of it comes of impulses and velocities that do not belong together. */
+static sfem_real sfemi_contact_surplus(const sfem_contact *c, const sfemi_touch *t, sfem_real before, sfem_real after)
+{
+    const sfem_real *w = t->body->state.w, *w1 = t->body->safeguard.w;
+    sfem_real work = 0;
+    sfem_int i;
+    int k, a;
+    for (i = 0; i < t->rows; ++i) {
+        const sfemi_row *row = t->row + i;
+        const sfem_real out = row->pushed ? sfemi_contact_push_speed(c, row, t->body->step.h) : 0;
+        for (k = 0; k < row->parts; ++k)
+            for (a = 0; a < 3; ++a) {
+                const size_t at = 3 * (size_t)row->node[k] + (size_t)a;
+                work += row->weight[k] * row->impulse[a] * (before * w[at] + after * w1[at]);
+            }
+        work -= fmax(0.0, sfemi_dot3(row->impulse, row->speed)) + fmax(out, row->bounce) * sfemi_dot3(row->impulse, row->axes);
+    }
+    return fmax(0.0, work);
+}
+
+/* ---- rejected steps ---- */
+
+/* A fallback, or its second stage, starts from no impulses: those of an iteration that was lost may be anything. */
+static void sfemi_contact_start_fallback(sfemi_touch *t)
+{
+    sfem_body *b = t->body;
+    const sfem_real *force = b->state.head->step_forces ? b->state.step_force : NULL;
+    sfem_int i;
+    for (i = 0; i < t->rows; ++i) memset(t->row[i].impulse, 0, sizeof t->row[i].impulse);
+    for (i = 0; i < 3 * b->model->mesh.nodes; ++i) { /* step forces are all that a caller adds to steps of a sfem_contact */
+        b->kick[i] = force ? b->step.h * force[i] : 0;
+        b->safeguard.added[i] = b->kick[i] / sfemi_body_span(b);
+    }
+    b->kicked = 1;
+    t->fallback = b->safeguard.rejected = 1;
+    b->state.head->scale = fmax(b->before.scale, t->arriving);
+    t->tolerance = fmax(sfemi_safeguard_open_fallback(b, &t->q), 1e-6 * b->state.head->scale);
+    t->q.touches = 1;
+}
+
+/* Where even that ends deep inside of an obstacle, as where a body was flattened in a step and had to be moved rigidly, it
+ * stays where it was, with the velocity that it has got. */
+static void sfemi_contact_stay(sfemi_touch *t)
+{
+    sfem_body *b = t->body;
+    sfemi_safeguard *g = &b->safeguard;
+    const sfem_real *rest = b->model->mesh.x;
+    sfem_real deepest = 0, excess;
+    sfem_int i;
+    int k, a;
+    for (i = 0; i < t->rows; ++i) {
+        const sfemi_row *row = t->row + i;
+        sfem_real gap = -sfemi_dot3(row->axes, row->place) - row->least;
+        for (k = 0; k < row->parts; ++k)
+            for (a = 0; a < 3; ++a) {
+                const size_t at = 3 * (size_t)row->node[k] + (size_t)a;
+                gap += row->weight[k] * row->axes[a] * (rest[at] + g->u[at]);
+            }
+        deepest = fmax(deepest, -gap);
+    }
+    if (!(deepest > 0.1 * t->edge) || b->schur.count || b->pin_count) return;
+    memcpy(g->u, b->state.u, 3 * (size_t)b->model->mesh.nodes * sizeof *g->u);
+    g->psi = sfemi_safeguard_forces(b, g->u, g->f);
+    excess = sfemi_safeguard_excess(b);
+    if (excess > 0) sfemi_safeguard_slow_down(b, excess, 1);
+}
+
+static sfem_status sfemi_contact_fall_back(sfem_contact *c, sfemi_island island, sfem_error *err)
+{
+    sfem_status status = SFEM_OK;
+    sfem_int i;
+    int stage, busy;
+    for (i = island.first; i < island.first + island.count; ++i) {
+        sfemi_touch *t = c->touch + i;
+        SFEMI_CONTACT_LIST(c, t->owed, t->owed_room, 6 * t->body->rotated.pieces);
+        memset(t->owed, 0, 6 * (size_t)t->body->rotated.pieces * sizeof *t->owed);
+        t->factor = sfemi_body_active(t->body);
+        sfemi_contact_start_fallback(t);
+    }
+    for (stage = 0, busy = 1; busy && stage < 2; ++stage) {
+        for (i = island.first; i < island.first + island.count; ++i) {
+            sfemi_touch *t = c->touch + i;
+            if (stage) {
+                SFEMI_TRY(sfemi_safeguard_prepare_isotropic(t->body, err));
+                sfemi_safeguard_find_columns(t->body, t->body->safeguard.isotropic);
+                t->factor = t->body->safeguard.isotropic;
+                if (t->lost) sfemi_contact_start_fallback(t);
+                t->tolerance *= 0.01;
+            }
+            t->rate = 0.3;
+            sfemi_contact_aim(t);
+        }
+        SFEMI_TRY(sfemi_contact_iterate(c, island, stage ? SFEMI_FALLBACK_LONGEST : SFEMI_FALLBACK_MOST, err));
+        for (i = island.first, busy = 0; i < island.first + island.count; ++i) busy |= !c->touch[i].body->safeguard.converged;
+    }
+    for (i = island.first; i < island.first + island.count; ++i) {
+        sfemi_touch *t = c->touch + i;
+        if (busy && !t->body->safeguard.converged) /* with the impulses as they are */
+            SFEMI_TRY(sfemi_safeguard_descend(t->body, &t->q, t->tolerance, err));
+    }
+    SFEMI_TRY(sfemi_contact_separate(c, island, err));
+    for (i = island.first; i < island.first + island.count; ++i) {
+        sfemi_touch *t = c->touch + i;
+        const sfem_real surplus = sfemi_contact_surplus(c, t, 0, 1); /* not to be had */
+        sfemi_safeguard_keep_momentum(t->body);
+        t->body->state.head->budget -= surplus;
+        t->body->state.head->last -= surplus;
+        sfemi_safeguard_close_fallback(t->body, &t->q);
+        sfemi_contact_stay(t);
+    }
+done:
+    for (i = island.first; i < island.first + island.count; ++i)
+        if (c->touch[i].body->schur.count) sfemi_body_forget_columns(c->touch[i].body);
+    return status;
+}
+
+/* As sfemi_safeguard_accepts. Ec is of the step's end, the budget of its middle; the work of impulses from there on counts
+ * where it is positive only: where a body lifts off they have done it before. */
+static int sfemi_contact_accepts(sfemi_touch *t, sfemi_safeguard_energies *e, sfem_real *budget)
+{
+    sfem_body *b = t->body;
+    sfem_real *added = b->safeguard.added, half, scale;
+    if (t->lost) return 0;
+    if (sfemi_safeguard_accepts(b, e, budget)) return 1;
+    b->safeguard.added = b->kick;
+    half = sfemi_safeguard_outer_work(b, 0.5, 0, 0, 0) / sfemi_contact_span(t);
+    b->safeguard.added = added;
+    scale = sfemi_safeguard_in_motion(b, e);
+    return half < 0 && sfemi_finite(e->eb) && sfemi_finite(e->ec) && e->eb <= *budget + e->rounding + 0.02 * scale &&
+           e->ec <= *budget + sfemi_safeguard_step_work(b, 0) - half + e->rounding + 0.3 * scale;
+}
+
+/* Judges the steps of an island: all of its bodies are taken back where one makes energy. */
+static sfem_status sfemi_contact_judge(sfem_contact *c, sfemi_island island, sfem_error *err)
+{
+    sfem_status status = SFEM_OK;
+    sfem_int i;
+    int rejected = 0;
+    for (i = island.first; i < island.first + island.count; ++i) {
+        sfemi_touch *t = c->touch + i;
+        sfem_body *b = t->body;
+        sfemi_safeguard *g = &b->safeguard;
+        sfem_real budget;
+        int other;
+        if (t->rests) continue;
+        if (!t->rows || !b->scheme.rotates) {
+            SFEMI_TRY(b->scheme.method->accept(b, err));
+            continue;
+        }
+        other = sfemi_resume_falls_back(b, b->step.h);
+        g->rejected = g->measured = 0;
+        sfemi_contact_raise_scale(t, !t->lost, 1);
+        if (other) b->state.head->budget = b->state.head->last;
+        if (!b->scheme.safeguarded && !other) continue;
+        t->budget = b->state.head->budget;
+        b->state.head->budget += sfemi_contact_impact_work(t);
+        g->measured = !other && sfemi_contact_accepts(t, &g->energies, &budget) &&
+                      sfemi_contact_surplus(c, t, 0.5, 0.5) <= b->state.head->scale;
+        b->state.head->budget = t->budget;
+        if (g->measured) t->budget = budget;
+        rejected |= !g->measured;
+    }
+    if (rejected) SFEMI_TRY(sfemi_contact_fall_back(c, island, err));
+    for (i = island.first; i < island.first + island.count; ++i) {
+        sfemi_touch *t = c->touch + i;
+        sfem_body *b = t->body;
+        sfemi_safeguard *g = &b->safeguard;
+        const size_t n = 3 * (size_t)b->model->mesh.nodes;
+        if (t->rests || !t->rows || !b->scheme.rotates) continue;
+        if (g->measured) b->state.head->budget = t->budget;
+        c->info.rejected += g->rejected;
+        if (sfemi_finite(g->psi) && sfemi_all_finite(g->u, n) && sfemi_all_finite(g->w, n)) continue;
+        return sfemi_fail(err, SFEM_NOT_FINITE, "the step of body %d leads to an energy that is not finite", (int)i);
+    }
+done:
+    return status;
+}
+
+/* ---- the end of a step ---- */
+
+/* The velocities reported are w' + h a/2. An impact acts at once: its part of a, what exceeds the impulses of the last step,
+ * does not go on for another half step. c->x: that part; 0 if there is none. */
+static int sfemi_contact_find_impact(sfem_contact *c, sfemi_touch *t)
+{
+    sfem_body *b = t->body;
+    const sfem_real span = sfemi_contact_span(t);
+    sfem_real change = 0, size = 0;
+    sfem_int i;
+    int k;
+    if (t->fallback || !t->rows) return 0;
+    for (i = 0; i < t->rows; ++i) {
+        sfemi_row *row = t->row + i;
+        const sfem_real now = sfemi_dot3(row->impulse, row->axes);
+        const sfem_real more = fmax(0.0, now - span * sfemi_dot3(row->force, row->axes));
+        const sfem_real part = now > 0 ? more / now : 0;
+        for (k = 0; k < 3; ++k) row->change[k] = part * row->impulse[k];
+        change += more;
+        size += now;
+    }
+    if (!(change > 1e-3 * size)) return 0;
+    sfemi_contact_transpose(t, 1, c->x);
+    sfemi_contact_respond(c, t, c->x);
+    for (i = 0; i < 3 * b->model->mesh.nodes; ++i) c->x[i] /= b->step.d;
+    return 1;
+}
+
+/* The rows of a step that is accepted: their work, forces, places; those without an impulse go. */
+static void sfemi_contact_settle_rows(sfem_contact *c, sfemi_touch *t)
+{
+    sfem_body *b = t->body;
+    const sfem_real *w = b->state.w, *w1 = b->scheme.rotates ? b->safeguard.w : c->w, span = sfemi_contact_span(t);
+    sfem_int i, kept = 0;
+    int k, a;
+    for (i = 0; i < t->rows; ++i) {
+        sfemi_row *row = t->row + i;
+        sfem_real x[3];
+        for (k = 0; k < row->parts; ++k)
+            for (a = 0; a < 3; ++a) {
+                const size_t at = 3 * (size_t)row->node[k] + (size_t)a;
+                c->info.work += row->weight[k] * row->impulse[a] * (t->fallback ? w1[at] : (w[at] + w1[at]) / 2);
+            }
+        for (k = 0; k < 3; ++k) row->force[k] = row->impulse[k] / span;
+        if (sfemi_dot3(row->impulse, row->impulse) == 0) continue;
+        c->info.moved += sfemi_dot3(row->impulse, row->speed);
+        if (row->pushed) {
+            c->info.moved += sfemi_dot3(row->impulse, row->axes) * sfemi_contact_push_speed(c, row, b->step.h);
+            ++c->info.pushed;
+        }
+        sfemi_contact_point_of(t, row, w1, b->step.h, row->position);
+        sfemi_sub3(row->position, row->place, x);
+        row->gap = sfemi_dot3(row->axes, x);
+        row->fresh = 0;
+        row->bounce = 0;
+        if (sfemi_obstacle_moves(c->obstacle + row->obstacle)) sfemi_sleep_wake_up(b);
+        t->row[kept++] = *row;
+    }
+    c->rows -= t->rows - kept;
+    t->rows = kept;
+}
+
+static void sfemi_contact_take(sfem_contact *c, sfemi_touch *t)
+{
+    sfem_body *b = t->body;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    int impact;
+    size_t i;
+    if (t->rests) {
+        (void)sfemi_sleep_step(b, b->step.h);
+        return;
+    }
+    impact = sfemi_contact_find_impact(c, t);
+    if (!b->scheme.rotates) sfemi_contact_trial_velocity(c, t);
+    sfemi_contact_settle_rows(c, t);
+    sfemi_body_take(b);
+    for (i = 0; impact && b->state.head->sleep != SFEMI_ASLEEP && i < n; ++i) b->state.a[i] -= c->x[i];
+}
+
+/* Forces on the obstacles, the list of points. */
+static sfem_status sfemi_contact_report(sfem_contact *c, sfem_error *err)
+{
+    sfem_status status = SFEM_OK;
+    sfem_int i, k, count;
+    int a;
+    c->points = 0;
+    for (i = 0; i < c->obstacles; ++i) {
+        memset(c->obstacle[i].force, 0, sizeof c->obstacle[i].force);
+        memset(c->obstacle[i].torque, 0, sizeof c->obstacle[i].torque);
+    }
+    SFEMI_CONTACT_LIST(c, c->point, c->point_room, c->rows + 1);
+    c->info.penetration = 0;
+    for (i = 0; i < c->touches; ++i) {
+        sfemi_island island;
+        island.first = i;
+        island.count = 1;
+        SFEMI_TRY(sfemi_contact_enlist(c, island, &count, err));
+        for (k = 0; k < count; ++k) {
+            const sfemi_row *row = c->list[k];
+            sfemi_obstacle *o = c->obstacle + row->obstacle;
+            sfem_contact_point *p = c->point + c->points++;
+            sfem_real arm[3], torque[3];
+            p->body = i;
+            p->obstacle = row->obstacle;
+            p->gap = row->gap;
+            sfemi_sub3(row->position, o->to, arm);
+            sfemi_cross(arm, row->force, torque);
+            for (a = 0; a < 3; ++a) {
+                p->node[a] = a < row->parts ? row->node[a] : -1;
+                p->weight[a] = a < row->parts ? row->weight[a] : 0;
+                p->position[a] = row->position[a];
+                p->normal[a] = row->axes[a];
+                p->force[a] = row->force[a];
+                p->impulse[a] = row->impulse[a];
+                o->force[a] -= row->force[a];
+                o->torque[a] -= torque[a];
+            }
+            c->info.penetration = fmax(c->info.penetration, -row->gap);
+        }
+    }
+    c->info.contacts = c->points;
+done:
+    return status;
+}
+
+/* Gives up the step of all bodies: rows of this step go. */
+static void sfemi_contact_undo(sfem_contact *c)
+{
+    sfem_int i, k, kept;
+    for (i = 0; i < c->touches; ++i) {
+        sfemi_touch *t = c->touch + i;
+        if (!t->used) continue;
+        for (k = kept = 0; k < t->rows; ++k)
+            if (!t->row[k].fresh) t->row[kept++] = t->row[k];
+        c->rows -= t->rows - kept;
+        t->rows = kept;
+        if (t->rests) continue;
+        sfemi_body_undo(t->body);
+        t->body->state.head->sleep = t->sleep;
+    }
+}
+
+/* Does a body that sleeps go on sleeping? Not where an obstacle that was stirred touches it or comes near. */
+static int sfemi_contact_rests(sfem_contact *c, sfemi_touch *t, sfem_real h, sfem_error *err, sfem_status *status)
+{
+    sfem_body *b = t->body;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    sfem_int i, k, before = t->rows, found;
+    int near = 0;
+    if (b->state.head->sleep != SFEMI_ASLEEP) return 0;
+    sfemi_sleep_compare_load(b);
+    if (b->state.head->sleep != SFEMI_ASLEEP) return 0;
+    for (i = 0; i < c->obstacles; ++i) near |= c->obstacle[i].stirred && sfemi_contact_pair(t, c->obstacle + i);
+    if (!near) return 1;
+    memset(c->w, 0, n * sizeof *c->w);
+    *status = sfemi_contact_detect(c, t, c->w, h, &found, err);
+    for (k = 0, near = 0; k < t->rows; ++k) near |= c->obstacle[t->row[k].obstacle].stirred;
+    if (!near) { /* nothing new, then, but with what it lies on */
+        c->rows -= t->rows - before;
+        t->rows = before;
+    }
+    return !near;
+}
+
+static sfem_status sfemi_contact_check_step(const sfem_contact *c, sfem_real h, sfem_error *err)
+{
+    sfem_int i;
+    sfem_status status = sfemi_body_check_step(h, err);
+    for (i = 0; status == SFEM_OK && i < c->touches; ++i)
+        if (c->touch[i].used && c->touch[i].body->phase != SFEMI_IDLE)
+            status = sfemi_fail(err, SFEM_BAD_ARGUMENT,
+                                "body %d is between sfem_body_predict and sfem_body_finish: finish its step first",
+                                (int)i);
+    return status;
+}
+
+/* All up to what is taken: nothing of it is seen from outside. */
+static sfem_status sfemi_contact_solve(sfem_contact *c, sfem_real h, sfem_error *err)
+{
+    sfem_status status = SFEM_OK;
+    sfem_int i;
+    sfemi_island island;
+    for (i = 0; i < c->touches; ++i) {
+        sfemi_touch *t = c->touch + i;
+        if (!t->used) continue;
+        t->sleep = t->body->state.head->sleep;
+        t->rests = sfemi_contact_rests(c, t, h, err, &status);
+        if (status != SFEM_OK) return status;
+        if (t->rests) continue;
+        SFEMI_TRY(sfemi_contact_begin(c, t, h, err));
+        SFEMI_TRY(sfemi_contact_try(c, i, err));
+    }
+    island.count = 1;
+    for (island.first = 0; island.first < c->touches; ++island.first) {
+        sfemi_touch *t = c->touch + island.first;
+        if (!t->used || t->rests) continue;
+        if (t->rows) SFEMI_TRY(sfemi_contact_correct(c, island, err));
+        else if (t->body->scheme.rotates == SFEMI_CORRECTS) sfemi_correct(t->body);
+        SFEMI_TRY(sfemi_method_check_acceleration(t->body, err));
+        SFEMI_TRY(sfemi_contact_judge(c, island, err));
+    }
+done:
+    return status;
+}
+
+SFEM_DEF sfem_status sfem_contact_step(sfem_contact *c, sfem_real h, sfem_error *err)
+{
+    sfem_status status;
+    sfem_int i;
+    SFEM_ASSERT(c);
+    status = sfemi_contact_check_step(c, h, err);
+    if (status != SFEM_OK) return status;
+    ++c->step;
+    c->info.sweeps = c->info.systems = c->info.pushed = c->info.rejected = 0;
+    for (i = 0; i < c->obstacles; ++i) {
+        sfemi_obstacle *o = c->obstacle + i;
+        if (!o->used) continue;
+        sfemi_obstacle_set_off(o, h);
+        o->stirred |= sfemi_obstacle_moves(o);
+    }
+    status = sfemi_contact_solve(c, h, err);
+    if (status == SFEM_OK) { /* room for the list, which is made when nothing can fail any more */
+        sfem_int most = 0;
+        for (i = 0; i < c->touches; ++i) most = c->touch[i].rows > most ? c->touch[i].rows : most;
+        SFEMI_CONTACT_LIST(c, c->point, c->point_room, c->rows + 1);
+        SFEMI_CONTACT_LIST(c, c->list, c->list_room, most + 1);
+    }
+done:
+    if (status != SFEM_OK) {
+        sfemi_contact_undo(c);
+        return status;
+    }
+    for (i = 0; i < c->touches; ++i)
+        if (c->touch[i].used) {
+            c->touch[i].body->step.h = h;
+            sfemi_contact_take(c, c->touch + i);
+        }
+    for (i = 0; i < c->obstacles; ++i) {
+        sfemi_obstacle *o = c->obstacle + i;
+        memcpy(o->def.position, o->to, sizeof o->to);
+        memcpy(o->def.rotation, o->to_axes, sizeof o->to_axes);
+        o->stirred = 0;
+    }
+    return sfemi_contact_report(c, err);
+}
+
+/* ---- the object ---- */
+
+SFEM_DEF sfem_contact_def sfem_default_contact_def(void)
+{
+    sfem_contact_def d;
+    memset(&d, 0, sizeof d);
+    d.cookie = SFEMI_COOKIE_CONTACT;
+    d.sweeps = 30;
+    d.tolerance = 1e-6;
+    d.push_share = 0.2;
+    d.push_speed = 0.5;
+    d.max_contacts = 4096;
+    d.cache_bytes = (size_t)256 << 20;
+    return d;
+}
+
+SFEM_DEF sfem_contact_surface sfem_default_contact_surface(void)
+{
+    sfem_contact_surface s;
+    memset(&s, 0, sizeof s);
+    s.cookie = SFEMI_COOKIE_SURFACE;
+    s.friction = 0.5;
+    s.groups = 1;
+    s.collides = ~(uint32_t)0;
+    return s;
+}
+
+SFEM_DEF sfem_obstacle_def sfem_default_obstacle_def(void)
+{
+    sfem_obstacle_def d;
+    memset(&d, 0, sizeof d);
+    d.cookie = SFEMI_COOKIE_OBSTACLE;
+    d.rotation[0] = d.rotation[4] = d.rotation[8] = 1;
+    d.contact = sfem_default_contact_surface();
+    return d;
+}
+
+SFEM_DEF sfem_obstacle_def sfem_obstacle_plane(const sfem_real normal[3], const sfem_real point[3])
+{
+    sfem_obstacle_def d = sfem_default_obstacle_def();
+    sfem_real n[3], a[3], b[3], length;
+    int k, small = 0;
+    SFEM_ASSERT(normal && point);
+    length = sqrt(sfemi_dot3(normal, normal));
+    for (k = 0; k < 3; ++k) n[k] = normal[k] / length; /* not finite: add_obstacle says so */
+    for (k = 1; k < 3; ++k)
+        if (fabs(n[k]) < fabs(n[small])) small = k;
+    for (k = 0; k < 3; ++k) a[k] = (k == small) - n[small] * n[k];
+    sfemi_cross(n, a, b);
+    for (k = 0; k < 3; ++k) {
+        d.position[k] = point[k];
+        d.rotation[3 * k] = a[k] / sqrt(sfemi_dot3(a, a));
+        d.rotation[3 * k + 1] = b[k] / sqrt(sfemi_dot3(b, b));
+        d.rotation[3 * k + 2] = n[k];
+    }
+    return d;
+}
+
+SFEM_DEF sfem_status sfem_contact_create(const sfem_contact_def *def, sfem_contact **out, sfem_error *err)
+{
+    const sfem_contact_def standard = sfem_default_contact_def(), *d = def ? def : &standard;
+    sfem_contact *c = NULL;
+    sfem_status status = SFEM_OK;
+    SFEM_ASSERT(out);
+    if (!sfemi_made_by_default(d->cookie, SFEMI_COOKIE_CONTACT, "sfem_default_contact_def", err)) return SFEM_BAD_ARGUMENT;
+    if (d->sweeps < 1 || d->max_contacts < 1)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "%d sweeps and %d contacts at most: both must be >= 1", (int)d->sweeps,
+                          (int)d->max_contacts);
+    if (!(sfemi_finite(d->tolerance) && d->tolerance >= 0))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "the tolerance of contacts is %g, must be >= 0", d->tolerance);
+    if (!(d->push_share >= 0 && d->push_share <= 1 && sfemi_finite(d->push_speed) && d->push_speed >= 0))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT,
+                          "push_share is %g, push_speed %g: the first must be 0 to 1, the second >= 0", d->push_share,
+                          d->push_speed);
+    SFEMI_NEW(sfem_contact, c, &d->allocator, 1);
+    c->def = *d;
+    *out = c;
+done:
+    return status;
+}
+
+static void sfemi_contact_forget_obstacle(sfem_contact *c, sfem_int id)
+{
+    sfem_int i, k, kept;
+    for (i = 0; i < c->touches; ++i) {
+        sfemi_touch *t = c->touch + i;
+        for (k = kept = 0; k < t->rows; ++k)
+            if (t->row[k].obstacle != id) t->row[kept++] = t->row[k];
+        if (kept == t->rows) continue;
+        sfem_body_wake(t->body);
+        c->rows -= t->rows - kept;
+        t->rows = kept;
+    }
+    c->points = 0;
+}
+
+static void sfemi_obstacle_release(const sfem_contact *c, sfemi_obstacle *o)
+{
+    sfemi_shell_free(&c->def.allocator, o->shell);
+    sfemi_delete(&c->def.allocator, o->heights);
+}
+
+static void sfemi_contact_free_touch(sfem_contact *c, sfemi_touch *t)
+{
+    const sfem_allocator *al = &c->def.allocator;
+    sfemi_columns_release(c, t);
+    c->rows -= t->rows;
+    sfemi_delete(al, t->node);
+    sfemi_delete(al, t->tri);
+    sfemi_delete(al, t->row_of);
+    sfemi_delete(al, t->x0);
+    sfemi_delete(al, t->x1);
+    sfemi_delete(al, t->row);
+    sfemi_delete(al, t->owed);
+    memset(t, 0, sizeof *t);
+}
+
+SFEM_DEF void sfem_contact_free(sfem_contact *c)
+{
+    sfem_allocator al;
+    sfem_int i;
+    if (!c) return;
+    al = c->def.allocator;
+    for (i = 0; i < c->touches; ++i) sfemi_contact_free_touch(c, c->touch + i);
+    for (i = 0; i < c->obstacles; ++i) sfemi_obstacle_release(c, c->obstacle + i);
+    sfemi_delete(&al, c->obstacle);
+    sfemi_delete(&al, c->touch);
+    sfemi_delete(&al, c->point);
+    sfemi_delete(&al, c->list);
+    sfemi_delete(&al, c->node);
+    sfemi_delete(&al, c->v);
+    sfemi_delete(&al, c->v0);
+    sfemi_delete(&al, c->y);
+    sfemi_delete(&al, c->g);
+    sfemi_delete(&al, c->w);
+    sfemi_delete(&al, c->x);
+    sfemi_delete(&al, c->rhs);
+    sfemi_delete(&al, c->work);
+    sfemi_delete(&al, c->lambda);
+    sfemi_delete(&al, c);
+}
+
+static sfem_status sfemi_contact_check_surface(const sfem_contact_surface *s, const char *whose, sfem_error *err)
+{
+    if (!sfemi_made_by_default(s->cookie, SFEMI_COOKIE_SURFACE, "sfem_default_contact_surface", err))
+        return SFEM_BAD_ARGUMENT;
+    if (!(sfemi_finite(s->friction) && s->friction >= 0))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "the friction of the %s is %g, must be >= 0", whose, s->friction);
+    if (!(s->restitution >= 0 && s->restitution <= 1))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "the restitution of the %s is %g, must be 0 to 1", whose,
+                          s->restitution);
+    if (!(sfemi_finite(s->compliance) && s->compliance >= 0))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "the compliance of the %s is %g, must be >= 0", whose, s->compliance);
+    return SFEM_OK;
+}
+
+/* ---- bodies ---- */
+
+/* Which nodes of a body may touch: those of its surface, of a body that breaks all, in the regions asked for. */
+static sfem_status sfemi_contact_collect(sfem_contact *c, sfemi_touch *t, uint32_t regions, sfem_error *err)
+{
+    const sfem_mesh *mesh = &t->body->model->mesh;
+    const sfem_allocator *al = &c->def.allocator;
+    sfem_surface s;
+    sfem_status status = SFEM_OK;
+    sfem_int i, edges = 0;
+    int k;
+    memset(&s, 0, sizeof s);
+    SFEMI_TRY(sfem_mesh_surface(mesh, al, &s, err));
+    SFEMI_NEW(sfem_int, t->row_of, al, mesh->nodes);
+    SFEMI_NEW(sfem_int, t->tri, al, 3 * (size_t)s.triangles + 1);
+    for (i = 0; i < mesh->tets; ++i) {
+        const sfem_int r = mesh->region ? mesh->region[i] : 0;
+        for (k = 0; k < 4 && (regions >> (r >= 0 && r < 32 ? r : 0) & 1); ++k) t->row_of[mesh->tet[4 * i + k]] |= 1;
+    }
+    for (i = 0; i < s.triangles; ++i) {
+        const sfem_int *tri = s.tri + 3 * i;
+        for (k = 0; k < 3; ++k) {
+            sfem_real d[3];
+            sfemi_sub3(mesh->x + 3 * tri[k], mesh->x + 3 * tri[(k + 1) % 3], d);
+            t->edge += sqrt(sfemi_dot3(d, d));
+            ++edges;
+            t->row_of[tri[k]] |= 2;
+        }
+        if ((t->row_of[tri[0]] & t->row_of[tri[1]] & t->row_of[tri[2]] & 1) == 0) continue;
+        memcpy(t->tri + 3 * (size_t)t->triangles++, tri, 3 * sizeof *tri);
+    }
+    t->edge /= edges ? edges : 1;
+    for (i = 0; i < mesh->nodes; ++i) t->nodes += (t->row_of[i] & 1) && (t->whole || t->row_of[i] & 2);
+    SFEMI_NEW(sfem_int, t->node, al, t->nodes + 1);
+    SFEMI_NEW(sfem_real, t->x0, al, 3 * (size_t)t->nodes + 3);
+    SFEMI_NEW(sfem_real, t->x1, al, 3 * (size_t)t->nodes + 3);
+    for (i = 0, t->nodes = 0; i < mesh->nodes; ++i) {
+        if ((t->row_of[i] & 1) && (t->whole || t->row_of[i] & 2)) t->node[t->nodes++] = i;
+        t->row_of[i] = -1;
+    }
+done:
+    sfem_surface_free(&s);
+    return status;
+}
+
+SFEM_DEF sfem_status sfem_contact_add_body(sfem_contact *c, sfem_body *body, const sfem_contact_surface *surface,
+                                           uint32_t regions, sfem_int *id, sfem_error *err)
+{
+    const sfem_contact_surface standard = sfem_default_contact_surface(), *s = surface ? surface : &standard;
+    sfemi_touch *t = NULL;
+    sfem_status status = SFEM_OK;
+    sfem_int i, at;
+    size_t n;
+    SFEM_ASSERT(c && body);
+    n = 3 * (size_t)body->model->mesh.nodes;
+    SFEMI_TRY(sfemi_contact_check_surface(s, "body", err));
+    if (!body->scheme.mean || body->scheme.lagging)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "a body with contact steps by SFEM_PQR, SFEM_CENTRAL, SFEM_GUI or SFEM_CHANG");
+    if (body->workspace != &body->own)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "a body with contact needs a workspace of its own: def.workspace NULL");
+    for (i = 0, at = c->touches; i < c->touches; ++i) {
+        if (c->touch[i].used && c->touch[i].body == body)
+            return sfemi_fail(err, SFEM_BAD_ARGUMENT, "this body was added before, as number %d", (int)i);
+        if (!c->touch[i].used && at == c->touches) at = i;
+    }
+    SFEMI_CONTACT_LIST(c, c->touch, c->touch_room, at + 1);
+    SFEMI_CONTACT_ROOM(c, c->w, c->vector_room, n);
+    SFEMI_CONTACT_ROOM(c, c->x, c->x_room, n);
+    SFEMI_CONTACT_ROOM(c, c->y, c->y_room, n);
+    SFEMI_CONTACT_ROOM(c, c->lambda, c->lambda_room, 3 * (size_t)body->def.max_handles + 1);
+    t = c->touch + at;
+    memset(t, 0, sizeof *t);
+    t->body = body;
+    t->contact = *s;
+    t->whole = body->damage != NULL;
+    SFEMI_TRY(sfemi_contact_collect(c, t, regions, err));
+    t->used = 1;
+    if (at == c->touches) ++c->touches;
+    if (id) *id = at;
+    sfem_body_wake(body);
+    return SFEM_OK;
+done:
+    if (t) sfemi_contact_free_touch(c, t);
+    return status;
+}
+
+SFEM_DEF void sfem_contact_remove_body(sfem_contact *c, sfem_int id)
+{
+    SFEM_ASSERT(c && id >= 0 && id < c->touches && c->touch[id].used);
+    sfemi_contact_free_touch(c, c->touch + id);
+    c->points = 0;
+}
+
+/* ---- obstacles ---- */
+
+static sfem_status sfemi_obstacle_check_pose(const sfem_real *position, const sfem_real *rotation, sfem_error *err)
+{
+    sfem_real square[9], normal[3];
+    int k, wrong = 0;
+    if (!sfemi_all_finite(position, 3) || (rotation && !sfemi_all_finite(rotation, 9)))
+        return sfemi_fail(err, SFEM_NOT_FINITE, "the obstacle's pose is not finite");
+    if (!rotation) return SFEM_OK;
+    sfemi_mul3_nt(rotation, rotation, square);
+    sfemi_cross(rotation, rotation + 3, normal);
+    for (k = 0; k < 9; ++k) wrong |= !(fabs(square[k] - (k % 4 ? 0 : 1)) < 1e-6);
+    if (!wrong && sfemi_dot3(normal, rotation + 6) > 0) return SFEM_OK;
+    return sfemi_fail(err, SFEM_BAD_ARGUMENT, "the obstacle's rotation is no rotation: its rows must be orthonormal, right-handed");
+}
+
+static sfem_status sfemi_obstacle_check(const sfem_obstacle_def *d, sfem_error *err)
+{
+    static const int sizes[] = {0, 1, 2, 3, 2, 0, 2, 0};
+    sfem_status status;
+    int k;
+    if (!sfemi_made_by_default(d->cookie, SFEMI_COOKIE_OBSTACLE, "sfem_default_obstacle_def", err)) return SFEM_BAD_ARGUMENT;
+    status = sfemi_obstacle_check_pose(d->position, d->rotation, err);
+    if (status == SFEM_OK) status = sfemi_contact_check_surface(&d->contact, "obstacle", err);
+    if (status != SFEM_OK) return status;
+    if ((unsigned)d->kind > SFEM_OBSTACLE_SURFACE)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "there is no kind %d of obstacles", (int)d->kind);
+    for (k = 0; k < sizes[d->kind]; ++k)
+        if (!(sfemi_finite(d->size[k]) && d->size[k] > 0))
+            return sfemi_fail(err, SFEM_BAD_ARGUMENT, "size %d of the obstacle is %g, must be > 0", k, d->size[k]);
+    if (d->kind == SFEM_OBSTACLE_DISTANCE && !d->distance)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "the obstacle has no distance function");
+    if (d->kind != SFEM_OBSTACLE_HEIGHTS) return SFEM_OK;
+    if (!d->heights || d->cells[0] < 2 || d->cells[1] < 2)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "a height field of %d x %d heights: give two or more each way",
+                          (int)d->cells[0], (int)d->cells[1]);
+    if (!sfemi_all_finite(d->heights, (size_t)d->cells[0] * (size_t)d->cells[1]))
+        return sfemi_fail(err, SFEM_NOT_FINITE, "a height of the obstacle is not finite");
+    return SFEM_OK;
+}
+
+static sfem_real sfemi_obstacle_reach(const sfem_obstacle_def *d)
+{
+    switch (d->kind) {
+    case SFEM_OBSTACLE_SPHERE: return d->size[0];
+    case SFEM_OBSTACLE_CAPSULE: return d->size[0] + d->size[1];
+    case SFEM_OBSTACLE_BOX: return sqrt(sfemi_dot3(d->size, d->size));
+    case SFEM_OBSTACLE_CYLINDER: return sqrt(d->size[0] * d->size[0] + d->size[1] * d->size[1]);
+    default: return -1;
+    }
+}
+
+/* What it takes a copy of. */
+static sfem_status sfemi_obstacle_copy(const sfem_contact *c, sfemi_obstacle *o, sfem_error *err)
+{
+    const sfem_obstacle_def *d = &o->def;
+    const sfem_allocator *al = &c->def.allocator;
+    sfem_status status = SFEM_OK;
+    sfem_int i;
+    o->safe = 1;
+    if (d->kind == SFEM_OBSTACLE_HEIGHTS) {
+        const size_t count = (size_t)d->cells[0] * (size_t)d->cells[1];
+        SFEMI_NEW(sfem_real, o->heights, al, count);
+        memcpy(o->heights, d->heights, count * sizeof *o->heights);
+        o->safe = sfemi_obstacle_flattest(d);
+    }
+    if (d->kind == SFEM_OBSTACLE_SURFACE) {
+        SFEMI_TRY(sfemi_shell_create(d->surface, al, &o->shell, err));
+        if (!o->shell->closed && !(sfemi_finite(d->size[0]) && d->size[0] > 0)) {
+            sfemi_shell_free(al, o->shell);
+            o->shell = NULL;
+            return sfemi_fail(err, SFEM_BAD_MESH, "the obstacle's surface is open: close it, or give its thickness in size[0]");
+        }
+        o->reach = 0;
+        for (i = 0; i < o->shell->nodes; ++i)
+            o->reach = fmax(o->reach, sqrt(sfemi_dot3(o->shell->x + 3 * (size_t)i, o->shell->x + 3 * (size_t)i)));
+        if (!o->shell->closed) o->reach += d->size[0];
+    }
+    o->def.heights = NULL;
+    o->def.surface = NULL;
+done:
+    return status;
+}
+
+SFEM_DEF sfem_status sfem_contact_add_obstacle(sfem_contact *c, const sfem_obstacle_def *def, sfem_int *id, sfem_error *err)
+{
+    sfem_status status = SFEM_OK;
+    sfemi_obstacle o;
+    sfem_int at;
+    SFEM_ASSERT(c && def);
+    memset(&o, 0, sizeof o);
+    SFEMI_TRY(sfemi_obstacle_check(def, err));
+    for (at = 0; at < c->obstacles && c->obstacle[at].used;) ++at;
+    SFEMI_CONTACT_LIST(c, c->obstacle, c->obstacle_room, at + 1);
+    o.def = *def;
+    o.reach = sfemi_obstacle_reach(def);
+    SFEMI_TRY(sfemi_obstacle_copy(c, &o, err));
+    o.used = o.stirred = 1;
+    sfemi_obstacle_set_off(&o, 0);
+    c->obstacle[at] = o;
+    if (at == c->obstacles) ++c->obstacles;
+    if (id) *id = at;
+done:
+    return status;
+}
+
+SFEM_DEF void sfem_contact_remove_obstacle(sfem_contact *c, sfem_int id)
+{
+    SFEM_ASSERT(c && id >= 0 && id < c->obstacles && c->obstacle[id].used);
+    sfemi_contact_forget_obstacle(c, id);
+    sfemi_obstacle_release(c, c->obstacle + id);
+    memset(c->obstacle + id, 0, sizeof *c->obstacle);
+}
+
+SFEM_DEF sfem_status sfem_contact_move_obstacle(sfem_contact *c, sfem_int id, const sfem_real position[3],
+                                                const sfem_real *rotation, const sfem_real *velocity,
+                                                const sfem_real *angular, sfem_error *err)
+{
+    static const sfem_real zero[3] = {0, 0, 0};
+    sfem_status status;
+    sfemi_obstacle *o;
+    SFEM_ASSERT(c && position);
+    if (id < 0 || id >= c->obstacles || !c->obstacle[id].used)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "there is no obstacle %d", (int)id);
+    status = sfemi_obstacle_check_pose(position, rotation, err);
+    if (status != SFEM_OK) return status;
+    if (!velocity) velocity = zero;
+    if (!angular) angular = zero;
+    if (!sfemi_all_finite(velocity, 3) || !sfemi_all_finite(angular, 3))
+        return sfemi_fail(err, SFEM_NOT_FINITE, "the velocity of obstacle %d is not finite", (int)id);
+    o = c->obstacle + id;
+    o->stirred |= memcmp(o->def.position, position, sizeof o->def.position) != 0 ||
+                  (rotation && memcmp(o->def.rotation, rotation, sizeof o->def.rotation) != 0);
+    memcpy(o->def.position, position, sizeof o->def.position);
+    if (rotation) memcpy(o->def.rotation, rotation, sizeof o->def.rotation);
+    memcpy(o->velocity, velocity, sizeof o->velocity);
+    memcpy(o->angular, angular, sizeof o->angular);
+    return SFEM_OK;
+}
+
+SFEM_DEF void sfem_contact_obstacle_pose(const sfem_contact *c, sfem_int id, sfem_real position[3], sfem_real rotation[9])
+{
+    SFEM_ASSERT(c && position && rotation && id >= 0 && id < c->obstacles && c->obstacle[id].used);
+    memcpy(position, c->obstacle[id].def.position, 3 * sizeof *position);
+    memcpy(rotation, c->obstacle[id].def.rotation, 9 * sizeof *rotation);
+}
+
+/* ---- what is asked for ---- */
+
+SFEM_DEF const sfem_contact_point *sfem_contact_points(const sfem_contact *c, sfem_int *count)
+{
+    SFEM_ASSERT(c && count);
+    *count = c->points;
+    return c->point;
+}
+
+SFEM_DEF void sfem_contact_obstacle_force(const sfem_contact *c, sfem_int id, sfem_real force[3], sfem_real torque[3])
+{
+    SFEM_ASSERT(c && force && torque && id >= 0 && id < c->obstacles && c->obstacle[id].used);
+    memcpy(force, c->obstacle[id].force, 3 * sizeof *force);
+    memcpy(torque, c->obstacle[id].torque, 3 * sizeof *torque);
+}
+
+SFEM_DEF sfem_contact_info sfem_contact_get_info(const sfem_contact *c)
+{
+    sfem_contact_info info;
+    sfem_int i;
+    SFEM_ASSERT(c);
+    info = c->info;
+    info.bytes = sizeof *c + c->column_bytes + (c->vector_room + c->x_room + c->y_room + c->v0_room + c->rhs_room + c->work_room + c->v_room +
+                 c->lambda_room) * sizeof(sfem_real) + c->g_room * sizeof(float) +
+                 (size_t)c->obstacle_room * sizeof *c->obstacle + (size_t)c->touch_room * sizeof *c->touch +
+                 (size_t)c->point_room * sizeof *c->point + (size_t)c->list_room * sizeof(void *) +
+                 (size_t)c->node_room * sizeof *c->node;
+    for (i = 0; i < c->touches; ++i) {
+        const sfemi_touch *t = c->touch + i;
+        if (!t->used) continue;
+        info.bytes += (size_t)t->room * sizeof *t->row + (size_t)t->owed_room * sizeof(sfem_real) +
+                      6 * (size_t)t->nodes * sizeof(sfem_real) +
+                      (size_t)(t->nodes + 3 * t->triangles + t->body->model->mesh.nodes) * sizeof(sfem_int);
+    }
+    return info;
+}
+#endif /* SFEM_NO_CONTACT */
+
+#ifndef SFEM_NO_DAMAGE
 /* ============================================================================================
  * >>fragments   the surface of a broken body: its pieces and cracks
  *
@@ -29175,6 +34012,10 @@ SFEM_DEF void sfem_body_fragment_positions(sfem_body *b, const sfem_fragments *f
  * Of linear laws one solve with a factor of K of its own, which is kept, with point handles by their dense block; else
  * Newton's iteration by load steps, of >>implicit. The body then rests at u; where that fails it is as it was.
  * ============================================================================================ */
+
+/* Conjugate gradients on smooth tets: 20 to 30 iterations to 1e-8 are the rule; this many only where nothing
+ * converges. */
+#define SFEMI_STATIC_CG 300
 
 /* Is the handle a constraint on one node alone? */
 static int sfemi_body_is_node_handle(const sfem_body *b, sfem_int handle)
@@ -29484,6 +34325,62 @@ static void sfemi_body_name_freedom(const sfem_body *b, const unsigned char *mas
     sfemi_delete(&b->allocator, label);
 }
 
+/* K x = rhs on the free axes, from x = 0 there, by conjugate gradients with the factor of K0 <= K / a: smooth tets. rhs
+ * and zm are overwritten. */
+static sfem_status sfemi_body_static_cg(sfem_body *b, const sfem_factor *f, sfem_real *x, sfem_error *err)
+{
+    const sfem_int nodes = b->model->mesh.nodes;
+    const size_t n = 3 * (size_t)nodes;
+    sfem_newton_info *info = &b->implicit.info;
+    sfem_real *r = b->rhs, *z = b->zm, *p = NULL, *kp = NULL, rz = 0, first = 0, now = 0;
+    sfem_status status = SFEM_OK;
+    size_t i;
+    memset(info, 0, sizeof *info);
+    SFEMI_NEW(sfem_real, p, &b->allocator, n);
+    SFEMI_NEW(sfem_real, kp, &b->allocator, n);
+    for (i = 0; i < n; ++i)
+        if (f->mask[i / 3] >> (i % 3) & 1) r[i] = 0;
+    first = now = sqrt(sfemi_dot(n, r, r));
+    memset(z, 0, n * sizeof *z);
+    while (now > b->def.newton.tolerance * first && info->iterations < SFEMI_STATIC_CG) {
+        sfem_real next, length;
+        sfemi_factor_solve(f, nodes, 1, r, z, b->workspace->work, &b->exec);
+        next = sfemi_dot(n, r, z);
+        for (i = 0; i < n; ++i) p[i] = z[i] + (info->iterations ? next / rz : 0) * p[i];
+        rz = next;
+        sfem_model_multiply_stiffness(b->model, p, kp, &b->exec);
+        length = rz / sfemi_dot(n, p, kp);
+        for (i = 0; i < n; ++i) {
+            x[i] += length * p[i];
+            r[i] = f->mask[i / 3] >> (i % 3) & 1 ? 0 : r[i] - length * kp[i];
+        }
+        now = sqrt(sfemi_dot(n, r, r));
+        ++info->iterations;
+        if (!sfemi_finite(now)) break;
+    }
+    info->residual = first > 0 ? now / first : 0;
+    info->converged = now <= b->def.newton.tolerance * first;
+    if (!info->converged)
+        status = sfemi_fail(err, sfemi_finite(now) ? SFEM_NOT_CONVERGED : SFEM_NOT_FINITE,
+                            "the static solution did not converge: residual %g after %d iterations", info->residual,
+                            (int)info->iterations);
+done:
+    sfemi_delete(&b->allocator, p);
+    sfemi_delete(&b->allocator, kp);
+    return status;
+}
+
+/* Does a static solution take the factor of K itself, not conjugate gradients? With handles between nodes, whose
+ * columns would each take as many iterations as the solution. */
+static int sfemi_body_static_exact(const sfem_body *b)
+{
+    sfem_int k;
+    if (!b->model->smooth || b->def.exact_statics) return b->model->smooth != NULL;
+    for (k = 0; k < b->def.max_handles; ++k)
+        if (b->state.handle[k].used && !sfemi_body_is_node_handle(b, k)) return 1;
+    return 0;
+}
+
 SFEM_DEF sfem_status sfem_body_solve_static(sfem_body *b, sfem_error *err)
 {
     const sfem_real load[3] = {1, 0, 0};
@@ -29507,6 +34404,7 @@ SFEM_DEF sfem_status sfem_body_solve_static(sfem_body *b, sfem_error *err)
     key.mask = mask;
     key.ordering = b->def.ordering;
     key.cm = sfemi_body_static_mass(b);
+    key.exact = b->model->smooth && (!sfemi_implicit_linear(b->model) || key.cm > 0 || sfemi_body_static_exact(b));
     if (!sfemi_implicit_linear(b->model) || key.cm > 0) {
         SFEMI_TRY(sfemi_body_static_newton(b, &key, err));
     } else {
@@ -29517,7 +34415,8 @@ SFEM_DEF sfem_status sfem_body_solve_static(sfem_body *b, sfem_error *err)
         memcpy(b->acc, b->zk, n * sizeof *b->acc);
         if (b->zd) memset(b->zd, 0, n * sizeof *b->zd);
         sfemi_body_residual(b, load, 0);
-        sfemi_factor_solve(f, b->model->mesh.nodes, 1, b->rhs, b->acc, b->workspace->work, &b->exec);
+        if (b->model->smooth && !key.exact) SFEMI_TRY(sfemi_body_static_cg(b, f, b->acc, err));
+        else sfemi_factor_solve(f, b->model->mesh.nodes, 1, b->rhs, b->acc, b->workspace->work, &b->exec);
         SFEMI_TRY(sfemi_body_static_handles(b, f, b->acc, 1, err));
     }
     if (!sfemi_all_finite(b->acc, n)) {
@@ -29630,8 +34529,8 @@ done:
     return status;
 }
 
-/* K, M and their norms on the free nodes. */
-static sfem_status sfemi_modes_matrices(sfemi_modes_system *s, sfem_error *err)
+/* K, M and their norms on the free nodes; `full` is K on all nodes. */
+static sfem_status sfemi_modes_matrices(sfemi_modes_system *s, const sfem_matrix *full, sfem_error *err)
 {
     const sfem_model *m = s->model;
     sfem_int *number, *row = NULL, *col = NULL, k, at, blocks = 0;
@@ -29644,8 +34543,8 @@ static sfem_status sfemi_modes_matrices(sfemi_modes_system *s, sfem_error *err)
     SFEMI_TAKE(sfem_real, sum, &pool, 3 * (size_t)s->n);
     for (k = 0; k < s->n; ++k) number[s->node[k]] = k + 1;
     for (k = 0; k < s->n; ++k)
-        for (at = m->row[s->node[k]]; at < m->row[s->node[k] + 1]; ++at)
-            blocks += number[m->col[at]] > 0;
+        for (at = full->row[s->node[k]]; at < full->row[s->node[k] + 1]; ++at)
+            blocks += number[full->col[at]] > 0;
     SFEMI_TRY(sfemi_fem_new_matrix(s->n, (size_t)blocks, 9, s->al, &row, &col, &s->k, err));
     SFEMI_TAKE(sfem_real, s->mass, &s->pool, 3 * (size_t)s->n);
     if (m->block_mass)
@@ -29654,11 +34553,11 @@ static sfem_status sfemi_modes_matrices(sfemi_modes_system *s, sfem_error *err)
         SFEMI_TAKE(sfem_real, s->root, &s->pool, 3 * (size_t)s->n);
     for (blocks = k = 0; k < s->n; ++k) {
         const sfem_int node = s->node[k];
-        for (at = m->row[node]; at < m->row[node + 1]; ++at) {
-            const sfem_int other = m->col[at], j = number[other] - 1;
+        for (at = full->row[node]; at < full->row[node + 1]; ++at) {
+            const sfem_int other = full->col[at], j = number[other] - 1, narrow = sfemi_fem_narrow(m, at, node, other);
             sfem_real *b = s->k.val + 9 * (size_t)blocks;
             if (j < 0) continue;
-            memcpy(b, m->stiffness.val + 9 * (size_t)at, 9 * sizeof *b);
+            memcpy(b, full->val + 9 * (size_t)at, 9 * sizeof *b);
             for (r = 0; r < 3; ++r)
                 for (c = 0; c < 3; ++c) {
                     if (((s->mask[node] >> r & 1) || (s->mask[other] >> c & 1)) && !(j == k && r == c))
@@ -29666,7 +34565,7 @@ static sfem_status sfemi_modes_matrices(sfemi_modes_system *s, sfem_error *err)
                     sum[3 * (size_t)k + (size_t)r] += fabs(b[3 * r + c]);
                     if (j != k) sum[3 * (size_t)j + (size_t)c] += fabs(b[3 * r + c]);
                 }
-            if (s->scalar) s->scalar[blocks] = m->block_mass[at];
+            if (s->scalar) s->scalar[blocks] = narrow < 0 ? 0 : m->block_mass[narrow];
             col[blocks++] = j;
         }
         row[k + 1] = blocks;
@@ -29885,15 +34784,19 @@ static sfem_status sfemi_modes_system_create(const sfem_model *model, const sfem
                                              sfemi_modes_system *s, sfem_error *err)
 {
     sfem_status status;
+    sfem_matrix full; /* where it is not the model's own */
+    memset(&full, 0, sizeof full);
     memset(s, 0, sizeof *s);
     s->model = model;
     s->def = def;
     s->al = &def->allocator;
     s->pool = sfemi_pool_of(s->al);
     SFEMI_TRY(sfemi_modes_mask(s, err));
-    SFEMI_TRY(sfemi_modes_matrices(s, err));
+    if (model->smooth) SFEMI_TRY(sfem_model_assemble_stiffness(model, s->al, &full, err));
+    SFEMI_TRY(sfemi_modes_matrices(s, model->smooth ? &full : &model->stiffness, err));
     SFEMI_TRY(sfemi_modes_rigid(s, err));
 done:
+    sfem_matrix_free(&full);
     return status;
 }
 
@@ -35281,6 +40184,18 @@ SFEM_DEF sfem_embed_def sfem_default_embed_def(void)
     return d;
 }
 
+/* Squares of distances have to be finite. */
+static sfem_status sfemi_embed_check_mesh(const sfem_mesh *m, sfem_error *err)
+{
+    const sfem_status status = sfem_mesh_check(m, NULL, err);
+    size_t k;
+    for (k = 0; status == SFEM_OK && k < 3 * (size_t)m->nodes; ++k)
+        if (fabs(m->x[k]) > 1e100)
+            return sfemi_fail_at(err, SFEM_BAD_ARGUMENT, (sfem_int)(k / 3), -1,
+                                 "node %ld of the mesh is at %g m: beyond 1e100", (long)(k / 3), m->x[k]);
+    return status;
+}
+
 static sfem_status sfemi_embed_check(const sfem_embed_def *d, sfem_error *err)
 {
     size_t k;
@@ -35460,7 +40375,7 @@ SFEM_DEF sfem_status sfem_embed_create(const sfem_mesh *mesh, const sfem_embed_d
     memset(&job, 0, sizeof job);
     trees = sfemi_pool_of(&def->allocator);
     SFEMI_TRY(sfemi_embed_check(def, err));
-    SFEMI_TRY(sfem_mesh_check(mesh, NULL, err));
+    SFEMI_TRY(sfemi_embed_check_mesh(mesh, err));
     SFEMI_TRY(sfemi_embed_open(&search, mesh, &surface, &trees, err));
     SFEMI_NEW_OWNER(sfem_embed, e, &def->allocator);
     e->exec = def->exec;
@@ -36964,13 +41879,13 @@ static sfem_status sfemi_clip_inner(sfemi_clip *s, sfem_int face, const sfem_int
         rotates = s->winding[f->corner[k]];
         for (i = 0; i <= hits; ++i) {
             const sfem_int number = i == hits ? -1 : s->order[along ? first[k] + i : last[k] - 1 - i];
-            const sfemi_clip_hit *h = s->hit + number;
-            const sfem_real t = number < 0 ? 1 : along ? h->t : 1 - h->t;
-            to = number < 0 ? corner[next]
-                            : sfemi_plane_vertex(s, 4 * number + SFEMI_CLIP_HIT, k == 0 ? t : k == 1 ? 1 - t : 0,
-                                                 k == 0 ? 0 : k == 1 ? t : 1 - t);
+            const sfemi_clip_hit *h = number < 0 ? NULL : s->hit + number;
+            const sfem_real t = !h ? 1 : along ? h->t : 1 - h->t;
+            to = !h ? corner[next]
+                    : sfemi_plane_vertex(s, 4 * number + SFEMI_CLIP_HIT, k == 0 ? t : k == 1 ? 1 - t : 0,
+                                         k == 0 ? 0 : k == 1 ? t : 1 - t);
             for (j = 0; j < abs(rotates); ++j) sfemi_plane_edge(p, rotates > 0 ? from : to, rotates > 0 ? to : from, 0);
-            if (number >= 0) rotates += (h->sign > 0) == along ? -1 : 1;
+            if (h) rotates += (h->sign > 0) == along ? -1 : 1;
             from = to;
         }
     }
@@ -37245,7 +42160,7 @@ static void sfemi_embed_pieces_apply(sfemi_embed_job *j, const sfem_embed_pieces
 {
     sfem_embed *e = j->embed;
     sfem_int v;
-    SFEM_ASSERT(e && o && b && b->damage && j->x && (!j->n || e->normal));
+    SFEM_ASSERT(e && o && b && b->damage && j->x && (!j->n || e->normal) && e->info.nodes == b->model->mesh.nodes);
     sfemi_workspace_bind(b);
     sfemi_fragments_rotate(b);
     if (j->n) {
@@ -38715,6 +43630,7 @@ static SFEMI_TARGET void SFEMI_KERNEL(sfemi_modes_scale)(const double *factor, c
 
 /* ============================================================================================
  * CHANGES
+ *   next    smooth tets (sfem_material.tet), which do not lock in bending or as nu nears 0.5
  *   0.4.0   the step of nonlinear bodies is corrected by L-BFGS with its factor (accuracy, dissipation in place of
  *           corrections); linear bodies keep their energy where steps, pins or handles change; impulses; damping
  *           forces with (p,q,r); refactorise in place of renew; Medit, Abaqus, .vtu and binary VTK meshes; sets and

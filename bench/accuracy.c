@@ -1124,6 +1124,8 @@ static void calculix(void)
     }
 }
 
+#include "tets.h"
+
 int main(int argc, char **argv)
 {
     static const ex_option table[] = {
@@ -1139,6 +1141,7 @@ int main(int argc, char **argv)
     identities();
     warping();
     fracture();
+    tets(!ex_given(&o, "--no-ccx"));
     if (!ex_given(&o, "--no-ccx")) calculix();
     real_meshes(ex_text(&o, "--references"));
     orders();

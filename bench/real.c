@@ -1,7 +1,7 @@
 /* real - the default step beside others on real and on unstructured meshes (real.h).
  *
- *     bench/real [--quick] [--scene TEXT] [--form TEXT] [--h 60] [--young E] [--law corotational] [--poisson 0.38]
- *                [--out build/bench-real] [--reference | --long | --eigen]
+ *     bench/real [--quick] [--scene TEXT] [--form TEXT] [--h 60] [--young E] [--law corotational] [--tet linear]
+ *                [--poisson 0.38] [--out build/bench-real] [--reference | --long | --eigen]
  *
  * Without a mode: the error of the tip nodes over a second, every 1/30 s, over their amplitude (root mean squares),
  * against the trapezoidal rule with full Newton at a small step; rejected steps; solves a step; time of a step, mean,
@@ -60,6 +60,12 @@ enum { FORMS = sizeof forms / sizeof *forms };
 static int is_newton(const form *f)
 {
     return f->integrator == SFEM_NEWMARK || f->integrator == SFEM_BACKWARD_EULER;
+}
+
+/* Smooth tets do not go with KR-alpha. */
+static int applies(const form *f)
+{
+    return real_tet == SFEM_TET_LINEAR || f->integrator != SFEM_KR_ALPHA;
 }
 
 static sfem_body_def def_of(const form *f, const real_scene *s)
@@ -165,7 +171,7 @@ static void table_of_errors(const real_scene *s, const settings *o)
     for (k = 0; k < o->steps; ++k, semi = 0)
         for (i = 0; i < FORMS; ++i) {
             result x;
-            if (o->form && !strstr(forms[i].name, o->form)) continue;
+            if ((o->form && !strstr(forms[i].name, o->form)) || !applies(forms + i)) continue;
             x = measure(s, forms + i, &r, o->h[k]);
             if (!strcmp(forms[i].name, "semi-implicit")) semi = x.mean;
             if (x.failure[0]) {
@@ -225,7 +231,8 @@ static void table_of_energies(const real_scene *s, const settings *o)
            "", "1/h", "rejected", "solves", "ms");
     for (k = 0; k < o->steps; ++k)
         for (i = 0; i < FORMS; ++i)
-            if (!o->form || strstr(forms[i].name, o->form)) swing(s, forms + i, o->h[k], 6);
+            if ((!o->form || strstr(forms[i].name, o->form)) && applies(forms + i))
+                swing(s, forms + i, o->h[k], 6);
 }
 
 /* --------------------------------------------------------------------------------------------
@@ -441,6 +448,12 @@ static settings settings_of(const ex_options *o)
     s.law = ex_choice(o, "--law") == 0   ? SFEM_COROTATIONAL
             : ex_choice(o, "--law") == 1 ? SFEM_STVK
                                          : SFEM_NEOHOOKEAN;
+    real_tet = (sfem_tet)ex_choice(o, "--tet"); /* in the order of the enumeration */
+    if (real_tet == SFEM_TET_SMOOTH) {          /* references of their own */
+        static char name[64];
+        snprintf(name, sizeof name, "%s --tet smooth", s.law_name);
+        s.law_name = name;
+    }
     s.poisson = ex_real(o, "--poisson");
     s.out = ex_text(o, "--out");
     s.scene = ex_text(o, "--scene");
@@ -464,6 +477,7 @@ int main(int argc, char **argv)
         {"--young", "E", NULL, "Young's modulus, Pa, instead of the scenes' own"},
         {"--h", "N,..", "60", "steps a second, multiples of 30"},
         {"--law", "corotational|stvk|neohookean", "corotational", "of the material"},
+        {"--tet", "linear|smooth", "linear", "of the material"},
         {"--poisson", "NU", "0.38", "Poisson's ratio"},
         {"--out", "DIR", "build/bench-real", "where the references are kept"},
         {"--reference", NULL, NULL, "only make the references that are missing"},

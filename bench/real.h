@@ -70,6 +70,9 @@ static const real_def real_table[] = {
 };
 #define REAL_SCENES (int)(sizeof real_table / sizeof *real_table)
 
+/* Of the models that real_open makes. */
+REAL_STATIC sfem_tet real_tet = SFEM_TET_LINEAR;
+
 typedef struct real_scene {
     const real_def *def;
     sfem_mesh mesh;
@@ -189,6 +192,7 @@ REAL_STATIC sfem_status real_open(const real_def *d, sfem_law law, double poisso
     def.material.young = d->young;
     def.material.poisson = poisson;
     def.material.law = law;
+    def.material.tet = real_tet;
     status = sfem_model_create(&def, &s->model, err);
     if (status != SFEM_OK) real_close(s);
     return status;

@@ -181,7 +181,7 @@ static void make_body(run *r)
     def.damage = &r->damage;
     def.max_handles = 64;
     def.refactorise = ex_real(&r->o, "--refactorise");
-    def.exec.threads = (sfem_int)ex_integer(&r->o, "--threads");
+    def.exec.threads = (sfem_int)ex_count(&r->o, "--threads", 1);
     if (r->scene == PLATE) def.gravity[2] = -9.81;
     def.accuracy = ex_real(&r->o, "--accuracy");
     def.dissipation = ex_real(&r->o, "--dissipation");

@@ -89,7 +89,7 @@ static void solve(run *r)
     def.pins = pins;
     def.modes = (sfem_int)ex_integer(&r->o, "--modes");
     def.below_hz = ex_real(&r->o, "--below");
-    def.exec.threads = (sfem_int)ex_integer(&r->o, "--threads");
+    def.exec.threads = (sfem_int)ex_count(&r->o, "--threads", 1);
     must(sfem_modes_create(model, &def, &r->modes, &err), &err);
     sfem_model_free(model);
     free(pins);

@@ -61,6 +61,7 @@ printf '%s\n' "$@" | xargs -P "$JOBS" -n 1 sh -c '
     arguments=
     [ "$1" != fracture ] || arguments="--scene blade --quick"
     [ "$1" != gallery ] || arguments=first
+    case $1 in drop | gripper) arguments=--quick ;; esac
     from=$(date +%s)
     if "$BUILD/run/$1" $arguments --out "$BUILD/$1" >"$BUILD/run/$1.log" 2>&1
     then echo "$1, $(($(date +%s) - from)) s" >>"$BUILD/run/steps"

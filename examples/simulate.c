@@ -3,7 +3,7 @@
  *        fixed                                         simulate                      a clamped bar swings
  *     //|=======================  <- load              simulate body.msh --fix 'x<0.01' --static
  *     //|=======================                       simulate --help
- *          | gravity
+ *          | gravity                                     simulate --fix none --floor 'z=-0.5'
  *
  * Reads or makes a mesh, fixes and loads nodes, solves for rest or steps through time, and leaves
  * pictures, a plot and tables in the --out directory. The last lines on stdout are `key value`.
@@ -12,7 +12,7 @@
 #include "softfem.h"
 #include "elastic.h"
 
-enum { FRAMES = 6, MAX_LOADS = 16 };
+enum { FRAMES = 6, MAX_OBSTACLES = 32, MAX_STEPS = 10000000 };
 
 static const ex_option table[] = {
     {"MESH", "FILE", NULL,
@@ -29,6 +29,8 @@ static const ex_option table[] = {
     {"--cells", "NX,NY,NZ", "20,4,4", "cells of the bar, five tets each"},
     {"--material", "linear|corotational|stvk|neohookean", "corotational",
      "the law of the material"},
+    {"--tet", "linear|smooth", "linear",
+     "linear tets lock in bending and as nu nears 0.5, smooth ones do not"},
     {"--young", "E", "1.5e5", "Young's modulus, Pa"},
     {"--poisson", "NU", "0.3", "Poisson's ratio"},
     {"--density", "RHO", "1000", "kg/m^3; the three are of all tets, else the file's constants, where it has them"},
@@ -74,6 +76,11 @@ static const ex_option table[] = {
      "a handle takes hold of the surface there (at the place at rest)"},
     {"--pull", "VX,VY,VZ", "0.2,0,0", "and moves, m/s"},
     {"--grip", "F", "0", "with this force at most, N; 0: without limit"},
+    {"--floor", "AXIS=D", NULL, "an obstacle below, as 'z=0'; '-x=2': beyond x = 2; repeatable"},
+    {"--obstacle", "KIND:X,Y,Z,R,VX,VY,VZ", NULL,
+     "'sphere:...', of radius R, that moves at this velocity; repeatable"},
+    {"--friction", "MU", "0.5", "of the body and of obstacles"},
+    {"--restitution", "E", "0", "of the same, for each node"},
     {"--probe", "NODE", "-1", "print this node's displacement; the plot follows it"},
     {"--threads", "N", "1", "threads"},
     {"--out", "DIR", "build/simulate", "where files go"},
@@ -88,6 +95,12 @@ typedef struct look { /* the --surface in a frame: outer triangles, then inner o
     sfem_int nodes, outer, inner;
 } look;
 
+typedef struct obstacle { /* what is needed to see how deep a node is in it */
+    sfem_int id;
+    int sphere;
+    double normal[3], point[3], radius;
+} obstacle;
+
 typedef struct run {
     ex_options o;
     sfem_mesh mesh;
@@ -97,6 +110,10 @@ typedef struct run {
     sfem_surface surface;
     sfem_model *model;
     sfem_body *body;
+    sfem_contact *contact; /* NULL: nothing to touch */
+    obstacle obstacle[MAX_OBSTACLES];
+    int obstacles;
+    double penetration;
     sfem_modes
         modes; /* --integrator modal: these step instead of the body, which keeps pins and loads */
     sfem_reduced *reduced;
@@ -138,7 +155,7 @@ static void fill_surface(run *r, const char *path)
     must(sfem_surface_read(path, NULL, &s, &err), &err);
     def.mode = ex_given(&r->o, "--cage") ? SFEM_CAGE : SFEM_FITTED;
     def.tets = (sfem_int)ex_integer(&r->o, "--tets");
-    def.exec.threads = (sfem_int)ex_integer(&r->o, "--threads");
+    def.exec.threads = (sfem_int)ex_count(&r->o, "--threads", 1);
     def.progress = show_progress;
     show_progress(0, NULL); /* the clock starts */
     must(sfem_mesh_from_surface(&def, &s, &r->mesh, &r->mesher, &err), &err);
@@ -150,9 +167,9 @@ __attribute__((noreturn)) static void refuse_mesh(const char *path, const sfem_e
 {
     sfem_surface s;
     if (strstr(err->text, "'linear'")) ex_fail("%s: here --linear", err->text);
-    if (sfem_surface_read(path, NULL, &s, NULL) == SFEM_OK)
-        ex_fail("%s: this file has %ld triangles and no tets; --tets 5000 makes some", path, (long)s.triangles);
-    ex_fail("%s", err->text);
+    if (!strstr(err->text, "sfem_mesh_from_surface") || sfem_surface_read(path, NULL, &s, NULL) != SFEM_OK)
+        ex_fail("%s", err->text);
+    ex_fail("%s: this file has %ld triangles and no tets; --tets 5000 makes some", path, (long)s.triangles);
 }
 
 static void read_file(run *r, const char *path)
@@ -175,7 +192,11 @@ static void make_bar(run *r)
     sfem_error err;
     int k;
     ex_reals(&r->o, "--cells", 3, cells);
-    for (k = 0; k < 3; ++k) n[k] = (sfem_int)cells[k];
+    for (k = 0; k < 3; ++k) {
+        if (!(cells[k] >= 1 && cells[k] <= 1e6) || cells[k] != floor(cells[k]))
+            ex_fail("--cells: %g is not a whole number from 1 to 1e6", cells[k]);
+        n[k] = (sfem_int)cells[k];
+    }
     must(sfem_mesh_block(n, size, SFEM_CELL_5_TETS, NULL, &r->mesh, &err), &err);
 }
 
@@ -220,6 +241,11 @@ static void read_mesh(run *r)
     sfem_mesh_report report;
     sfem_status status;
     sfem_error err;
+    if ((ex_given(&r->o, "--weld") || ex_given(&r->o, "--linear")) &&
+        (!path || ex_given(&r->o, "--tets") || ex_given(&r->o, "--cage")))
+        ex_fail("--weld and --linear are of a file with tets, and here is %s", path ? "a surface" : "none");
+    if ((ex_given(&r->o, "--tets") || ex_given(&r->o, "--cage")) && !path)
+        ex_fail("--tets and --cage fill the surface in a file, and here is none");
     if (!path)
         make_bar(r);
     else if (ex_given(&r->o, "--tets") || ex_given(&r->o, "--cage"))
@@ -289,6 +315,7 @@ static sfem_material material_of_all(const run *r)
     m.mass_damping = rayleigh[0];
     m.stiffness_damping = rayleigh[1];
     m.law = (sfem_law)ex_choice(&r->o, "--material"); /* in the order of the enumeration */
+    m.tet = (sfem_tet)ex_choice(&r->o, "--tet");      /* likewise */
     return m;
 }
 
@@ -395,8 +422,7 @@ static void make_modal(run *r, const sfem_body_def *body)
     double rayleigh[2];
     sfem_error err;
     ex_reals(&r->o, "--rayleigh", 2, rayleigh);
-    modes.modes = (sfem_int)ex_integer(&r->o, "--modes");
-    if (modes.modes < 1) ex_fail("--modes must be at least 1");
+    modes.modes = (sfem_int)ex_count(&r->o, "--modes", 1);
     modes.pins = body->pins;
     modes.pin_count = body->pin_count;
     modes.exec = body->exec;
@@ -460,12 +486,14 @@ static void make_body(run *r)
     def.r = ex_real(&r->o, "--r");
     def.precision = ex_choice(&r->o, "--precision") ? SFEM_MIXED : SFEM_DOUBLE;
     ex_reals(&r->o, "--gravity", 3, def.gravity);
-    def.exec.threads = (sfem_int)ex_integer(&r->o, "--threads");
+    def.exec.threads = (sfem_int)ex_count(&r->o, "--threads", 1);
     def.pins = pins;
     def.pin_count = count;
     def.max_handle_nodes = r->mesh.nodes;
     def.handle_max_force = ex_real(&r->o, "--grip");
     r->breaks = ex_given(&r->o, "--fracture") || ex_given(&r->o, "--strength");
+    if (r->breaks && !strcmp(ex_text(&r->o, "--integrator"), "modal"))
+        ex_fail("--fracture and --strength: modal bodies do not break");
     if (r->breaks) {
         damage.law = ex_choice(&r->o, "--damage") ? SFEM_DAMAGE_CONDENSED : SFEM_DAMAGE_ZSZ;
         damage.toughness = ex_given(&r->o, "--fracture") ? ex_real(&r->o, "--fracture") : 0;
@@ -508,6 +536,90 @@ static void add_loads(run *r)
     free(nodes);
 }
 
+/* '-x=2': the half space beyond it, and the normal towards the body. */
+static sfem_obstacle_def read_floor(const char *text, obstacle *o)
+{
+    const int sign = *text == '-' ? -1 : 1, axis = text[sign < 0] - 'x';
+    const char *number = text + (sign < 0) + 1;
+    double d;
+    if (axis < 0 || axis > 2 || *number != '=') ex_fail("--floor '%s': not as 'z=0' or '-x=2'", text);
+    ex_numbers("--floor", number + 1, 1, &d);
+    o->normal[axis] = sign;
+    o->point[axis] = d;
+    return sfem_obstacle_plane(o->normal, o->point);
+}
+
+/* 'sphere:X,Y,Z,R' and a velocity, or none. */
+static sfem_obstacle_def read_sphere(const char *text, obstacle *o, double *velocity)
+{
+    sfem_obstacle_def def = sfem_default_obstacle_def();
+    double number[7] = {0, 0, 0, 0, 0, 0, 0};
+    const char *s;
+    int k, count = 1;
+    if (strncmp(text, "sphere:", 7) != 0)
+        ex_fail("--obstacle '%s': only spheres, 'sphere:X,Y,Z,R'", text);
+    for (s = text; *s; ++s) count += *s == ',';
+    ex_numbers("--obstacle", text + 7, count == 4 ? 4 : 7, number);
+    def.kind = SFEM_OBSTACLE_SPHERE;
+    o->sphere = 1;
+    o->radius = def.size[0] = number[3];
+    for (k = 0; k < 3; ++k) {
+        def.position[k] = number[k];
+        velocity[k] = number[4 + k];
+    }
+    return def;
+}
+
+/* What it touches. */
+static void add_obstacles(run *r)
+{
+    const int floors = ex_given(&r->o, "--floor"), all = floors + ex_given(&r->o, "--obstacle");
+    sfem_contact_surface surface = sfem_default_contact_surface();
+    sfem_error err;
+    int k;
+    if (all == 0) return;
+    if (r->modal) ex_fail("--floor and --obstacle: modal bodies touch nothing");
+    if (all > MAX_OBSTACLES) ex_fail("no more than %d obstacles", MAX_OBSTACLES);
+    surface.friction = ex_real(&r->o, "--friction");
+    surface.restitution = ex_real(&r->o, "--restitution");
+    must(sfem_contact_create(NULL, &r->contact, &err), &err);
+    must(sfem_contact_add_body(r->contact, r->body, &surface, ~0u, NULL, &err), &err);
+    for (k = 0; k < all; ++k) {
+        obstacle *o = r->obstacle + r->obstacles++;
+        double velocity[3] = {0, 0, 0};
+        sfem_obstacle_def def = k < floors ? read_floor(ex_nth(&r->o, "--floor", k), o)
+                                           : read_sphere(ex_nth(&r->o, "--obstacle", k - floors), o, velocity);
+        def.contact = surface;
+        must(sfem_contact_add_obstacle(r->contact, &def, &o->id, &err), &err);
+        must(sfem_contact_move_obstacle(r->contact, o->id, def.position, NULL, velocity, NULL, &err), &err);
+    }
+}
+
+/* The deepest that any node of the surface is in an obstacle now. */
+static double deepest(const run *r)
+{
+    const sfem_real *u = sfem_body_displacement(r->body);
+    double most = 0;
+    sfem_int i;
+    int k, c;
+    for (k = 0; k < r->obstacles; ++k) {
+        const obstacle *o = r->obstacle + k;
+        double at[3], axes[9];
+        sfem_contact_obstacle_pose(r->contact, o->id, at, axes);
+        for (i = 0; i < 3 * r->surface.triangles; ++i) {
+            const size_t n = 3 * (size_t)r->surface.tri[i];
+            double along = 0, square = 0;
+            for (c = 0; c < 3; ++c) {
+                const double d = r->mesh.x[n + (size_t)c] + u[n + (size_t)c] - at[c];
+                along += o->normal[c] * d;
+                square += d * d;
+            }
+            most = fmax(most, o->sphere ? o->radius - sqrt(square) : -along);
+        }
+    }
+    return most;
+}
+
 /* Adds one --velocity to v: numbers, or a rotation about the middle of the box, or Gaussian noise. */
 static void add_velocity(const run *r, const char *text, double *v)
 {
@@ -518,6 +630,8 @@ static void add_velocity(const run *r, const char *text, double *v)
     if (!strncmp(text, "random:", 7)) {
         uint64_t state;
         ex_numbers("--velocity", text + 7, 2, number);
+        if (!(number[1] >= 0 && number[1] < 9e15) || number[1] != floor(number[1]))
+            ex_fail("--velocity: the seed %g is not a whole number from 0 to 9e15", number[1]);
         state = (uint64_t)number[1];
         for (i = 0; i < 3 * r->mesh.nodes; ++i) v[i] += number[0] * ex_gauss(&state);
         return;
@@ -591,6 +705,7 @@ static void take_hold(run *r)
     double *weight, where[4], most = 0;
     sfem_patch patch;
     sfem_error err;
+    int near = 0;
     r->hand = -1;
     if (!ex_given(&r->o, "--grab")) return;
     node = (sfem_int *)ex_new((size_t)r->mesh.nodes, sizeof *node);
@@ -601,18 +716,18 @@ static void take_hold(run *r)
     patch.radius = where[3];
     patch.surface = &r->surface;
     must(sfem_mesh_near(&r->mesh, &patch, r->mesh.nodes, node, weight, &count, &err), &err);
+    for (k = 0; k < count; ++k) {
+        const sfem_real *x = r->mesh.x + 3 * (size_t)node[k];
+        most = fmax(most, weight[k]);
+        near = near || hypot(hypot(x[0] - where[0], x[1] - where[1]), x[2] - where[2]) <= where[3];
+    }
+    if (!near) ex_fail("--grab: no node of the surface is within %g m of %g,%g,%g", where[3], where[0], where[1], where[2]);
     if (r->modal) {
         must(sfem_modal_grab_region(r->modal, count, node, weight, &r->hand, &err), &err);
         sfem_modal_handle_position(r->modal, r->hand, r->held);
     } else {
         must(sfem_body_grab_region(r->body, count, node, weight, &r->hand, &err), &err);
         sfem_body_handle_position(r->body, r->hand, r->held);
-    }
-    for (k = 0; k < count; ++k) most = fmax(most, weight[k]);
-    if (hypot(hypot(r->held[0] - where[0], r->held[1] - where[1]), r->held[2] - where[2]) > where[3]) {
-        fflush(stdout);
-        fprintf(stderr, "--grab: there is no surface within %g m of %g,%g,%g\n", where[3], where[0], where[1], where[2]);
-        exit(1);
     }
     printf("handle: %d nodes about %.3g %.3g %.3g m, each with at most %.2g of its force\n",
            (int)count, r->held[0], r->held[1], r->held[2], most);
@@ -652,7 +767,7 @@ static void choose_probe(run *r)
     double lower[3], upper[3], most = -1;
     sfem_int i;
     int c;
-    r->probe = (sfem_int)ex_integer(&r->o, "--probe");
+    r->probe = (sfem_int)ex_count(&r->o, "--probe", -1);
     if (r->probe >= r->mesh.nodes)
         ex_fail("--probe %d: the mesh has %d nodes", (int)r->probe, (int)r->mesh.nodes);
     if (r->probe >= 0) return;
@@ -710,6 +825,11 @@ static void step(run *r)
 {
     sfem_error err;
     move_hand(r, when_is_it(r) + r->h);
+    if (r->contact) {
+        must(sfem_contact_step(r->contact, r->h, &err), &err);
+        r->penetration = fmax(r->penetration, deepest(r));
+        return;
+    }
     if (!r->modal) {
         must(sfem_body_step(r->body, r->h, &err), &err);
         return;
@@ -797,7 +917,7 @@ static void write_step(run *r, const char *path)
 /* 5. Rest, or steps through time. */
 static void simulate(run *r)
 {
-    const sfem_int every = (sfem_int)ex_integer(&r->o, "--vtu");
+    const sfem_int every = (sfem_int)ex_count(&r->o, "--vtu", 0);
     char(*name)[32] = (char(*)[32])ex_new((size_t)r->steps + 1, sizeof *name);
     const char **file = (const char **)ex_new((size_t)r->steps + 1, sizeof *file);
     double *when = (double *)ex_new((size_t)r->steps + 1, sizeof *when), start;
@@ -933,6 +1053,10 @@ static void report(run *r)
         printf("pieces %d\nbroken_edges %d\nenergy_error %.3g\n", (int)f.pieces, (int)f.broken,
                f.scale > 0 ? fabs(f.error) / f.scale : 0.0);
     }
+    if (r->contact) {
+        const sfem_contact_info c = sfem_contact_get_info(r->contact);
+        printf("contacts %d\npenetration %.3g\ncontact_work %.9g\n", (int)c.contacts, r->penetration, c.work);
+    }
     printf("energy %.17g\n", energy(r).total);
     printf("max_displacement %.17g\n", largest_displacement(r));
 }
@@ -945,8 +1069,8 @@ int main(int argc, char **argv)
     memset(&r, 0, sizeof r);
     r.o = ex_parse(argc, argv, "Simulates an elastic body and draws it.", table);
     r.h = ex_real(&r.o, "--dt");
-    r.steps = (sfem_int)ex_integer(&r.o, "--steps");
-    if (r.steps < 1) ex_fail("--steps must be at least 1");
+    r.steps = (sfem_int)ex_count(&r.o, "--steps", 1);
+    if (r.steps > MAX_STEPS) ex_fail("--steps must be at most %d", MAX_STEPS);
     if (ex_given(&r.o, "--quick") && r.steps > 12) r.steps = 12;
     if (ex_given(&r.o, "--static")) r.steps = 0;
     ex_make_directory(ex_text(&r.o, "--out"));
@@ -959,6 +1083,7 @@ int main(int argc, char **argv)
     add_loads(&r);
     take_hold(&r);
     set_velocity(&r);
+    add_obstacles(&r);
     choose_probe(&r);
     r.time = (double *)ex_new(5 * ((size_t)r.steps + 1), sizeof *r.time);
     r.tip = r.time + r.steps + 1;
@@ -973,6 +1098,7 @@ int main(int argc, char **argv)
     }
     free(r.time);
     free(r.u);
+    sfem_contact_free(r.contact);
     sfem_modal_free(r.modal);
     sfem_reduced_view_free(r.view);
     sfem_reduced_free(r.reduced);

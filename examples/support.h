@@ -5,7 +5,7 @@
  *
  *     time, files   ex_seconds  ex_fail  ex_new  ex_make_directory  ex_path  ex_progress
  *     options       ex_parse  ex_given  ex_text  ex_nth  ex_real  ex_positive  ex_integer  ex_reals
- *                   ex_choice  ex_steps
+ *                   ex_count  ex_choice  ex_steps
  *     selections    ex_selection_of  ex_selected
  *     numbers       ex_clamp  ex_apart  ex_nice  ex_short  ex_gauss
  */
@@ -74,6 +74,7 @@ EX_STATIC void ex_make_directory(const char *path) /* and those above it */
 {
     char part[1024];
     size_t i, length = strlen(path);
+    if (!length) ex_fail("the name of a directory is empty; this one is .");
     if (length >= sizeof part) ex_fail("%s: too long", path);
     for (i = 1; i <= length; ++i) {
         if (path[i] != '/' && path[i]) continue;
@@ -291,6 +292,14 @@ EX_STATIC long ex_integer(const ex_options *o, const char *name)
     if (!(x >= -2147483647.0 && x <= 2147483647.0) || x != floor(x))
         ex_fail("%s: '%s' is not a whole number of at most 2^31 - 1", name, ex_text(o, name));
     return (long)x;
+}
+
+/* a whole number of at least `least` */
+EX_STATIC long ex_count(const ex_options *o, const char *name, long least)
+{
+    const long n = ex_integer(o, name);
+    if (n < least) ex_fail("%s: %ld is below %ld", name, n, least);
+    return n;
 }
 
 EX_STATIC double ex_positive(const ex_options *o, const char *name)

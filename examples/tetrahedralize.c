@@ -21,9 +21,9 @@
 
 static const ex_option table[] = {
     {"IN", "IN", NULL,
-     "a surface: .obj, .stl, .ply, .off, or the triangles of a mesh file; one with tets, and no --tets or --size, is only "
+     "a surface: .obj, .stl, .ply, .off, or the triangles of a mesh file; one with tets, and no --tets, --size or --cage, is only "
      "written in the other format; without IN a torus"},
-    {"OUTPUT", "OUTPUT", NULL, "tets: .msh, .vtu or .veg; without it mesh.msh in the --out directory"},
+    {"OUTPUT", "OUTPUT", NULL, "tets: .msh, .vtu or .veg, with the numbers of regions, in .veg without; else mesh.msh in the --out directory"},
     {"--tets", "N", "5000", "how many, within 15 percent"},
     {"--size", "H", NULL, "or the longer edges of the lattice, m"},
     {"--linear", NULL, NULL, "10-node tets of a file become 4-node ones"},
@@ -81,14 +81,24 @@ static void write_mesh(const char *path, const sfem_mesh *m)
 {
     const char *tail = strrchr(path, '.');
     sfem_error err;
-    if (tail && !strcmp(tail, ".vtu"))
+    if (!strcmp(tail, ".vtu"))
         must(sfem_mesh_write_vtu(path, m, NULL, NULL, 0, &err), &err);
-    else if (tail && !strcmp(tail, ".veg"))
+    else if (!strcmp(tail, ".veg"))
         write_veg(path, m);
-    else if (tail && !strcmp(tail, ".msh"))
-        must(sfem_mesh_write_msh(path, m, &err), &err);
     else
+        must(sfem_mesh_write_msh(path, m, &err), &err);
+}
+
+/* Before the work begins. */
+static void check_name(const char *path)
+{
+    const char *tail = strrchr(path, '.');
+    FILE *file;
+    if (!tail || (strcmp(tail, ".vtu") != 0 && strcmp(tail, ".veg") != 0 && strcmp(tail, ".msh") != 0))
         ex_fail("%s: the name has to end in .msh, .vtu or .veg", path);
+    file = fopen(path, "ab"); /* what is there stays for now: it may be the input */
+    if (!file) ex_fail("%s: %s", path, strerror(errno));
+    ex_close(file, path);
 }
 
 /* 3. The picture: tets behind the middle of the longest axis but one, their faces that the cut laid open in orange. */
@@ -171,7 +181,7 @@ static sfem_mesh fill(const ex_options *o, const sfem_surface *surface)
     def.tets = (sfem_int)ex_integer(o, "--tets");
     if (ex_given(o, "--quick") && !ex_given(o, "--tets")) def.tets = 1000;
     if (ex_given(o, "--size")) def.size = ex_positive(o, "--size");
-    def.exec.threads = (sfem_int)ex_integer(o, "--threads");
+    def.exec.threads = (sfem_int)ex_count(o, "--threads", 1);
     def.progress = show_progress;
     show_progress(0, NULL); /* the clock starts */
     begin = ex_seconds();
@@ -193,10 +203,17 @@ int main(int argc, char **argv)
     sfem_surface surface;
     sfem_error err;
     sfem_mesh mesh;
+    int tets = 0;
     def.linear = ex_given(&o, "--linear");
     ex_make_directory(directory);
-    if (in && !ex_given(&o, "--tets") && !ex_given(&o, "--size") &&
-        sfem_mesh_read_sets(in, &def, &mesh, NULL, NULL, &err) == SFEM_OK) {
+    if (!out) out = ex_path(directory, "mesh.msh");
+    if (in && !ex_given(&o, "--tets") && !ex_given(&o, "--size") && !ex_given(&o, "--cage")) {
+        tets = sfem_mesh_read_sets(in, &def, &mesh, NULL, NULL, &err) == SFEM_OK;
+        if (!tets && strstr(err.text, "'linear'")) ex_fail("%s: here --linear", err.text);
+        if (!tets && !strstr(err.text, "sfem_mesh_from_surface")) ex_fail("%s", err.text);
+    }
+    check_name(out);
+    if (tets) {
         print_mesh(&mesh);
     } else if (in) {
         must(sfem_surface_read(in, NULL, &surface, &err), &err);
@@ -206,7 +223,7 @@ int main(int argc, char **argv)
         surface = torus();
         mesh = fill(&o, &surface);
     }
-    write_mesh(out ? out : ex_path(directory, "mesh.msh"), &mesh);
+    write_mesh(out, &mesh);
     draw(&mesh, ex_path(directory, "cut.png"));
     sfem_mesh_free(&mesh);
     return 0;

@@ -162,6 +162,51 @@ def simulate_names():
     require(680 < int(re.search('\ntets (.*)', text).group(1)) < 920, text)
 
 
+def wrong_options():
+    """What would be ignored or misread is refused, with a sentence that names the option."""
+    bar, box = path('bar.veg'), path('box.obj')
+    ours('tetrahedralize', '--quick', '--out', path('wrong'))
+    ours('tetrahedralize', path('wrong/mesh.msh'), bar, '--out', path('wrong'))
+    with open(box, 'w') as f:
+        f.write(''.join('v %d %d %d\n' % (2 * (i & 1), i >> 1 & 1, i >> 2) for i in range(8)) +
+                'f 1 3 4 2\nf 5 6 8 7\nf 1 2 6 5\nf 3 7 8 4\nf 1 5 7 3\nf 2 4 8 6\n')
+    for words, options in (
+            ('--threads: -1 is below 1', ('--threads', '-1')),
+            ('--weld and --linear are of a file with tets, and here is none', ('--weld', '-1')),
+            ('the distance of welding is -1, not 0 or above', (bar, '--weld', '-1')),
+            ('take a smaller distance', (bar, '--weld', '100')),
+            ('--weld and --linear are of a file with tets, and here is a surface', (box, '--tets', '100', '--linear')),
+            ('--tets and --cage fill the surface in a file, and here is none', ('--cage',)),
+            ('--cells: 1.5 is not a whole number', ('--cells', '1.5,1,1')),
+            ('--cells: nan is not a whole number', ('--cells', 'nan,1,1')),
+            ('--steps must be at most 10000000', ('--steps', '2147483647')),
+            ('--steps: 0 is below 1', ('--steps', '0')),
+            ('--probe: -7 is below -1', ('--probe', '-7')),
+            ('--vtu: -3 is below 0', ('--vtu', '-3')),
+            ('the seed -1 is not a whole number', ('--velocity', 'random:1,-1')),
+            ('the seed 1e+300 is not a whole number', ('--velocity', 'random:1,1e300')),
+            ('--grab: no node of the surface is within 1 m of 1e+300,0,0', ('--grab', '1e300,0,0,1')),
+            ('modal bodies do not break', ('--integrator', 'modal', '--fracture', '1')),
+            ('the name of a directory is empty', ('--out', ''))):
+        text = ours('simulate', '--out', path('wrong'), '--quick', *options, code=2)
+        require(words in text, "simulate %s does not say '%s':\n%s" % (' '.join(options), words, text))
+    with open(path('hex.mesh'), 'w') as f:
+        f.write('MeshVersionFormatted 1\nDimension 3\nVertices 8\n0 0 0 0 1 0 0 0 1 1 0 0 0 1 0 0\n0 0 1 0 1 0 1 0 1 1 1 0 0 1 1 0\n'
+                'Quadrilaterals 1\n1 2 3 4 0\nHexahedra 1\n1 2 3 4 5 6 7 8 0\nEnd\n')
+    with open(path('ten.inp'), 'w') as f:
+        f.write('*NODE\n1,0,0,0\n2,1,0,0\n3,0,1,0\n4,0,0,1\n5,.5,0,0\n6,.5,.5,0\n7,0,.5,0\n8,0,0,.5\n9,.5,0,.5\n10,0,.5,.5\n'
+                '*ELEMENT,TYPE=S3\n1,1,2,3\n*ELEMENT,TYPE=C3D10\n2,1,2,3,4,5,6,7,8,9,10\n')
+    for words, name in (('there are 1 volume cells, but none is a tet', 'hex.mesh'), ('here --linear', 'ten.inp')):
+        for which, options in (('simulate', ()), ('tetrahedralize', (path('wrong/x.msh'),))):
+            text = ours(which, path(name), *options, '--out', path('wrong'), code=2)
+            require(words in text, "%s %s does not say '%s':\n%s" % (which, name, words, text))
+    for words, out in (('the name has to end in .msh, .vtu or .veg', 'x.foo'), ('No such file or directory', 'none/x.msh')):
+        text = ours('tetrahedralize', box, path(out), '--tets', '100', '--out', path('wrong'), code=2)
+        require(words in text and 'angles' not in text, "told after the work, or not at all: '%s'\n%s" % (words, text))
+    text = ours('tetrahedralize', '--threads', '-1', '--out', path('wrong'), code=2)
+    require('--threads: -1 is below 1' in text, text)
+
+
 # ---- gmsh ----
 
 def gmsh(source, out, *options):
@@ -251,6 +296,14 @@ def gmsh_reads_ours():
     d = torus()
     run(program('gmsh'), path('torus/mesh.msh'), '-save', '-o', path('torus.msh'), '-format', 'msh41', '-v', '2')
     equal(dump('torus.msh'), d['x'], d['tets'], 'ours through gmsh', 1e-15)  # it writes 16 digits
+    with open(path('regions.mesh'), 'w') as f:  # of any number
+        f.write('MeshVersionFormatted 2\nDimension 3\nVertices 5\n0 0 0 0 1 0 0 0 0 1 0 0 0 0 1 0 1 1 1 0\n'
+                'Tetrahedra 4\n1 2 3 4 0\n2 3 4 5 5\n1 2 3 4 -7\n1 2 3 4 0\n')
+    ours('tetrahedralize', path('regions.mesh'), path('regions.msh'), '--out', path('regions'))
+    text = run(program('gmsh'), path('regions.msh'), '-save', '-save_all', '-o', path('regions2.msh'), '-format', 'msh41', '-v', '2')
+    require('Error' not in text, text)
+    d = dump('regions2.msh')
+    require(sorted(d['region']) == [-7, 0, 0, 5], 'regions through gmsh: %s' % d['region'])
 
 
 def gmsh_surface():
@@ -509,7 +562,7 @@ def calculix():
     return 'displacements agree within %.1e of the largest, %.3g m' % (worst / size, size)
 
 
-TESTS = [simulate_names, gmsh_groups, gmsh_formats, gmsh_partitions, gmsh_second_order, gmsh_reads_ours, gmsh_surface, tetgen, meshio_writes,
+TESTS = [simulate_names, wrong_options, gmsh_groups, gmsh_formats, gmsh_partitions, gmsh_second_order, gmsh_reads_ours, gmsh_surface, tetgen, meshio_writes,
          meshio_sets, meshio_reads_ours, vtk_writes, vtk_reads_ours, calculix]
 
 

@@ -4,16 +4,17 @@
 #
 # Each of compilers x standards x switches builds two files that share the header: impl.c defines
 # the implementation twice, user.c includes the header twice and calls it. Both are linked and run.
-# The switches that leave parts out are checked by -fsyntax-only, which takes a third of the time, but for three builds.
+# The switches that leave parts out are checked by -fsyntax-only, which takes a third of the time, but for four builds.
 set -u
 cd "$(dirname "$0")/.." || exit 1
 BUILD=${BUILD:-build/strict}
 COMPILERS=${COMPILERS:-gcc clang}
 STANDARDS='c99 c11 c17 c++11 c++17 c++20'
 SWITCHES='plain SFEM_STATIC O2 O3 m32 openmp SFEM_NO_STDIO SFEM_NO_DISPATCH'
-PARTS='SFEM_NO_MESHIO SFEM_NO_MESHER SFEM_NO_EMBED SFEM_NO_BODY SFEM_NO_DAMAGE SFEM_NO_NEWTON SFEM_NO_LINK SFEM_NO_REDUCED SFEM_NO_MODES
-    SFEM_NO_MODEL SFEM_MINIMAL SFEM_ENABLE_MESHIO SFEM_ENABLE_MESHER SFEM_ENABLE_EMBED SFEM_ENABLE_MODEL SFEM_ENABLE_BODY
-    SFEM_ENABLE_DAMAGE SFEM_ENABLE_NEWTON SFEM_ENABLE_MODES SFEM_ENABLE_REDUCED SFEM_ENABLE_LINK SFEM_DEF'
+PARTS='SFEM_NO_MESHIO SFEM_NO_MESHER SFEM_NO_EMBED SFEM_NO_BODY SFEM_NO_DAMAGE SFEM_NO_NEWTON SFEM_NO_SMOOTH SFEM_NO_CONTACT
+    SFEM_NO_LINK SFEM_NO_REDUCED SFEM_NO_MODES SFEM_NO_MODEL SFEM_MINIMAL SFEM_ENABLE_MESHIO SFEM_ENABLE_MESHER SFEM_ENABLE_EMBED
+    SFEM_ENABLE_MODEL SFEM_ENABLE_BODY SFEM_ENABLE_DAMAGE SFEM_ENABLE_NEWTON SFEM_ENABLE_SMOOTH SFEM_ENABLE_CONTACT
+    SFEM_ENABLE_MODES SFEM_ENABLE_REDUCED SFEM_ENABLE_LINK SFEM_DEF'
 WARNINGS='-Werror -Wall -Wextra -Wpedantic -Wconversion -Wshadow'
 
 # command COMPILER STANDARD: what compiles that, without files; nothing if it is not installed
@@ -52,7 +53,7 @@ symbols() {
 # whole COMPILER STANDARD SWITCH: is it built, linked and run, or is only its syntax checked?
 whole() {
     case $3-$1-$2 in
-    SFEM_ENABLE_BODY-gcc*-c99 | SFEM_NO_MESHIO-clang*-c99 | SFEM_ENABLE_REDUCED-clang*-c++11) return 0 ;;
+    SFEM_ENABLE_BODY-gcc*-c99 | SFEM_ENABLE_CONTACT-gcc*-c99 | SFEM_NO_MESHIO-clang*-c99 | SFEM_ENABLE_REDUCED-clang*-c++11) return 0 ;;
     esac
     for part in $PARTS; do
         [ "$part" != "$3" ] || return 1
@@ -269,6 +270,17 @@ static int steps(sfem_model *model)
     sfem_body_def def = sfem_default_body_def();
     sfem_body *body = 0;
     good &= sfem_body_create(model, &def, &body, 0) == SFEM_OK && sfem_body_step(body, 0.01, 0) == SFEM_OK;
+#ifndef SFEM_NO_CONTACT
+    {
+        const sfem_obstacle_def floor = sfem_default_obstacle_def();
+        sfem_contact *contact = 0;
+        good &= sfem_contact_create(0, &contact, 0) == SFEM_OK &&
+                sfem_contact_add_body(contact, body, 0, 1, 0, 0) == SFEM_OK &&
+                sfem_contact_add_obstacle(contact, &floor, 0, 0) == SFEM_OK &&
+                sfem_contact_step(contact, 0.01, 0) == SFEM_OK;
+        sfem_contact_free(contact);
+    }
+#endif
     sfem_body_free(body);
     good &= breaks(model) && iterates(model);
 #endif
@@ -294,6 +306,14 @@ int main(int count, char **argument)
         if (sfem_model_create(&def, &model, 0) != SFEM_OK) return 1;
         good &= steps(model) && bends(model, path);
         sfem_model_free(model);
+        def.material.tet = SFEM_TET_SMOOTH;
+#ifdef SFEM_NO_SMOOTH
+        good &= sfem_model_create(&def, &model, 0) == SFEM_BAD_ARGUMENT;
+#else
+        if (sfem_model_create(&def, &model, 0) != SFEM_OK) return 1;
+        good &= sfem_model_smooth_info(model).patches > 0;
+        sfem_model_free(model);
+#endif
     }
 #else
     good &= bends(0, path);
@@ -311,6 +331,7 @@ END
 for compiler in $COMPILERS; do
     command=$(command_for "$compiler" c99) || continue
     for switches in SFEM_NO_REDUCED 'SFEM_NO_MODEL -DSFEM_ENABLE_MODES' 'SFEM_NO_MODEL -DSFEM_ENABLE_BODY' \
+        'SFEM_NO_MODEL -DSFEM_ENABLE_SMOOTH' 'SFEM_ENABLE_SMOOTH -DSFEM_NO_SMOOTH' 'SFEM_ENABLE_CONTACT -DSFEM_NO_BODY' \
         'SFEM_ENABLE_EMBED -DSFEM_NO_EMBED' 'SFEM_ENABLE_LINK -DSFEM_NO_LINK' 'SFEM_ENABLE_BODY -DSFEM_NO_BODY' 'SFEM_ENABLE_DAMAGE -DSFEM_NO_BODY' \
         'SFEM_ENABLE_DAMAGE -DSFEM_NO_DAMAGE' 'SFEM_ENABLE_NEWTON -DSFEM_NO_NEWTON' 'SFEM_ENABLE_MESHER -DSFEM_NO_MESHER' \
         'SFEM_MINIMAL -DSFEM_ENABLE_MODES -DSFEM_NO_MODES' 'SFEM_ENABLE_MODEL -DSFEM_NO_MODEL' \

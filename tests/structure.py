@@ -181,7 +181,7 @@ def task_names(text):
     top = text[text.index('FUNCTIONS BY TASK'):]
     table = top[:top.index('\n * CONTENTS')]
     nouns = ('mesh', 'surface', 'model', 'body', 'workspace', 'modes', 'reduced', 'modal', 'sender', 'receiver', 'ldl',
-             'law', 'add')
+             'law', 'add', 'contact')
     names, noun = [], None
     for name in re.findall(r'(?<!\w)(?:sfem)?_\w+', table):
         if name.startswith('sfem_'):

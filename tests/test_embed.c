@@ -398,6 +398,13 @@ static void wrong_input_is_named(void **state)
     assert_status(sfem_embed_create(&m, &d, &e, &err), SFEM_NOT_FINITE);
     assert_names(err, "normal of point 1");
     d.normal = NULL;
+    broken = ball(1e150, 1); /* at 2e150: the squares of distances from there are not finite */
+    for (k = 0; k < 3 * broken.nodes; ++k) broken.x[k] += 2e150;
+    assert_status(sfem_embed_create(&broken, &d, &e, &err), SFEM_BAD_ARGUMENT);
+    assert_int_equal(err.node, 0);
+    assert_names(err, "node 0 of the mesh is at 2e+150 m: beyond 1e100");
+    sfem_mesh_free(&broken);
+    broken = m;
     broken.tets = 0;
     assert_status(sfem_embed_create(&broken, &d, &e, &err), SFEM_BAD_MESH);
     assert_null(e);
@@ -993,6 +1000,34 @@ static void open_and_crossing_surfaces_are_cut_too(void **state)
     }
 }
 
+/* Where no plane between pieces comes near it, and where there are points alone. */
+static void a_surface_in_one_piece_stays_as_it_is(void **state)
+{
+    int alone, k;
+    (void)state;
+    for (alone = 0; alone < 2; ++alone) {
+        sfem_surface surface = sphere(0.05, 1);
+        sfem_embed_def d = def_of(&surface);
+        broken s;
+        double *x;
+        for (k = 0; k < 3 * surface.nodes; ++k) surface.x[k] += k % 3 ? 0.1 : 0.8;
+        if (alone) d.triangles = 0;
+        s = break_body(ball(1, 2), &d, 1, 0);
+        assert_int_equal(sfem_body_fracture(s.body).pieces, 2);
+        assert_int_equal(s.pieces.triangles, d.triangles);
+        assert_int_equal(s.pieces.inner, 0);
+        assert_int_equal(s.pieces.open_edges, 0);
+        assert_int_equal(s.pieces.vertices, alone ? 0 : surface.nodes);
+        x = (double *)malloc((3 * (size_t)s.pieces.vertices + 1) * sizeof *x);
+        sfem_embed_pieces_positions(s.embed, &s.pieces, s.body, x, NULL);
+        for (k = 0; k < 3 * s.pieces.vertices; ++k)
+            assert_near(x[k], surface.x[3 * s.pieces.point[k - k % 3] + k % 3], 0, 1e-9);
+        free(x);
+        drop_broken(&s);
+        drop(&surface);
+    }
+}
+
 static broken *shared; /* for attempt_break */
 
 static sfem_status attempt_break(sfem_allocator allocator, void *user, sfem_error *err)
@@ -1189,6 +1224,7 @@ int main(void)
         cmocka_unit_test(random_breaks_make_closed_pieces),
         cmocka_unit_test(pieces_that_move_as_wholes_stay_as_they_are),
         cmocka_unit_test(one_broken_tet_cuts_a_sphere_in_four),
+        cmocka_unit_test(a_surface_in_one_piece_stays_as_it_is),
         cmocka_unit_test(soups_are_cut_as_the_surface_that_they_are),
         cmocka_unit_test(open_and_crossing_surfaces_are_cut_too),
         cmocka_unit_test(failing_allocations_of_a_cut_leak_nothing_and_places_take_none),

@@ -593,7 +593,7 @@ static void malformed_inp_is_refused(void **state)
         {"11, 19, 2", "11, 19, 0", SFEM_FORMAT, "the step is 0"},
         {"11, 19, 2", "11", SFEM_FORMAT, "expected the last number, but the line ends"},
         {"MATERIAL=rubber\n1.", "MATERIAL=wood\n1.", SFEM_FORMAT, "a *SOLID SECTION names 'wood', which is not there"},
-        {"Elset=HARD", "Elset=HARDER", SFEM_FORMAT, "a *SOLID SECTION names 'harder', which is not there"},
+        {"Elset=HARD", "Elset=HARDER", SFEM_FORMAT, "a *SOLID SECTION names 'HARDER', which is not there"},
         {"Elset=HARD,", "", SFEM_FORMAT, "*SOLID SECTION without an ELSET="},
         {"1e6, 0.45", "soft", SFEM_FORMAT, "expected Young's modulus, found 'soft'"},
         {"1e6, 0.45", "1e6, inf", SFEM_NOT_FINITE, "Poisson's ratio is not finite"},
@@ -882,6 +882,173 @@ static void every_allocation_may_fail(void **state)
     for (which = 0; which < 2; ++which) assert_true(fail_every_allocation(do_weld, &which) >= 3);
 }
 
+/* ---- files of other programs that have more in them than tets ---- */
+
+/* Six points, a tet, then cells that the caller gives; regions behind what else may stand there, by an array "region". */
+static const char vtk_head[] = "# vtk DataFile Version 4.2\nt\nASCII\nDATASET UNSTRUCTURED_GRID\nPOINTS 5 double\n"
+                               "0 0 0 1 0 0 0 1 0 0 0 1 1 1 1\n";
+
+static void regions_are_found_behind_arrays_of_any_kind(void **state)
+{
+    static const char *const before[] = {
+        "FIELD FieldData 3\nname 1 2 string\na b\n\nMETADATA\nINFORMATION 0\n\nflag 1 2 bit\n1 0\n",
+        "COLOR_SCALARS c 3\n0 0 0 1 1 1\nFIELD f 1\n", "TEXTURE_COORDINATES t 2 float\n0 0 1 1\nFIELD f 1\n",
+        "SCALARS s float 1\nLOOKUP_TABLE lut\n0 1\nLOOKUP_TABLE lut 2\n0 0 0 1 1 1 1 1\nFIELD f 1\n"};
+    char text[1000];
+    size_t k;
+    (void)state;
+    for (k = 0; k < TEST_COUNT(before); ++k) {
+        parsed p;
+        sprintf(text, "%sCELLS 2 10\n4 0 1 2 3 4 1 2 3 4\nCELL_TYPES 2\n10 10\nCELL_DATA 2\n%sregion 1 2 int\n7 -9\n", vtk_head,
+                before[k]);
+        p = parse_text(text, NULL);
+        if (!p.m.region) fail_msg("no regions behind %s", before[k]);
+        assert_int_equal(p.m.region[0], 7);
+        assert_int_equal(p.m.region[1], -9);
+        drop(&p);
+    }
+}
+
+static void put(char *to, size_t *n, const void *data, size_t bytes)
+{
+    memcpy(to + *n, data, bytes);
+    *n += bytes;
+}
+
+static void put_text(char *to, size_t *n, const char *text) { put(to, n, text, strlen(text)); }
+
+static void put_numbers(char *to, size_t *n, const int *v, int count) /* high bytes first */
+{
+    int i, b;
+    for (i = 0; i < count; ++i)
+        for (b = 24; b >= 0; b -= 8) to[(*n)++] = (char)(v[i] >> b & 255);
+}
+
+static void regions_are_found_behind_binary_bits_and_strings(void **state)
+{
+    static const char head[] = "# vtk DataFile Version 4.2\nt\nBINARY\nDATASET UNSTRUCTURED_GRID\nPOINTS 4 int\n";
+    static const int x[12] = {0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0, 1}, cells[15] = {4, 0, 1, 2, 3, 4, 0, 1, 2, 3, 4, 0, 1, 2, 3};
+    static const int types[3] = {10, 10, 10}, region[3] = {5, 70000, -1}, length = 0x40000000 + 70;
+    char text[1000], begun[1000], longer[70];
+    size_t n = 0, k;
+    parsed p;
+    (void)state;
+    memset(longer, 'x', sizeof longer);
+    put_text(text, &n, head);
+    put_numbers(text, &n, x, 12);
+    put_text(text, &n, "\nCELLS 3 15\n");
+    put_numbers(text, &n, cells, 15);
+    put_text(text, &n, "\nCELL_TYPES 3\n");
+    put_numbers(text, &n, types, 3);
+    put_text(text, &n, "\nCELL_DATA 3\nFIELD f 3\nname 1 3 string\n");
+    put_text(text, &n, "\xc2" "a\n"); /* one byte of length 2 */
+    put_numbers(text, &n, &length, 1); /* four */
+    put(text, &n, longer, sizeof longer);
+    put_text(text, &n, "\x80\x41"); /* two */
+    put(text, &n, longer, 65); /* 0x41 */
+    put_text(text, &n, "\nflag 1 3 bit\n\x60\nregion 1 3 int\n");
+    put_numbers(text, &n, region, 3);
+    p = parse(text, n, NULL);
+    assert_non_null(p.m.region);
+    assert_memory_equal(p.m.region, region, sizeof region);
+    drop(&p);
+    for (k = n - 170; k < n; ++k) { /* cut short there: the mesh is whole, and there are no regions, or not these */
+        memcpy(begun, text, k);
+        p = parse(begun, k, NULL);
+        assert_int_equal(p.m.tets, 3);
+        drop(&p);
+    }
+}
+
+static void polyhedra_and_cells_of_higher_order_are_volume_cells(void **state)
+{
+    static const int types[] = {42, 41, 37, 67, 71, 74, 78};
+    char text[1000];
+    size_t k;
+    (void)state;
+    for (k = 0; k < TEST_COUNT(types); ++k) {
+        sfem_surface s;
+        sfem_error err;
+        parsed p;
+        sprintf(text,
+                "%sCELLS 3 27\n4 0 1 2 3 17 4 3 0 1 2 3 0 1 3 3 1 2 3 3 0 2 3 3 0 1 2\nCELL_TYPES 3\n10 %d 5\nCELL_DATA 3\nFIELD f 1\n"
+                "region 1 3 int\n1 8 9\n",
+                vtk_head, types[k]);
+        p = parse_text(text, NULL);
+        assert_int_equal(p.info.others, 1);
+        assert_int_equal(p.s.sets, 1);
+        assert_set(&p, "surface 9", 0, "0 1 2");
+        drop(&p);
+        text[strlen(vtk_head) + 24] = '9'; /* of a polyhedron not all numbers are nodes */
+        assert_ok(sfem_surface_parse(text, strlen(text), NULL, &s, &err), err);
+        assert_int_equal(s.triangles, 1);
+        sfem_surface_free(&s);
+    }
+}
+
+static void medit_may_have_a_section_of_tets_for_each_part(void **state)
+{
+    static const char file[] = "MeshVersionFormatted 1\nDimension 3\nVertices 5\n0 0 0 0 1 0 0 0 0 1 0 0 0 0 1 0 1 1 1 0\n"
+                               "Tetrahedra 1\n1 2 3 4 6\nTriangles 1\n1 2 3 4\nTetrahedra 2\n2 3 4 5 7\n1 2 3 4 8\nEnd\n";
+    static const sfem_int region[3] = {6, 7, 8}, second[4] = {1, 2, 3, 4};
+    char many[40000], *q;
+    parsed p = parse_text(file, NULL);
+    int k;
+    (void)state;
+    assert_int_equal(p.m.tets, 3);
+    assert_memory_equal(p.m.region, region, sizeof region);
+    assert_memory_equal(p.m.tet + 4, second, sizeof second);
+    assert_set(&p, "surface 4", 0, "0 1 2");
+    drop(&p);
+    q = many + sprintf(many, "MeshVersionFormatted 1\nDimension 3\nVertices 4\n0 0 0 0 1 0 0 0 0 1 0 0 0 0 1 0\n");
+    for (k = 0; k < 1000; ++k) q += sprintf(q, "Tetrahedra 1\n1 2 3 4 %d\n", k);
+    p = parse_text(many, NULL);
+    assert_int_equal(p.m.tets, 1000);
+    for (k = 0; k < 1000; ++k) assert_int_equal(p.m.region[k], k);
+    drop(&p);
+    q += sprintf(q, "Tetrahedra 2\n1 2 3 4 5\n1 2 3 9 0\n");
+    refuse(many, strlen(many), NULL, SFEM_BAD_MESH, "tet 1001 names vertex 9");
+}
+
+static void abaqus_has_fortran_numbers_and_names_as_they_are_written(void **state)
+{
+    parsed p = parse_text("*NODE\n1, 0, 0, 0\n2, 1.5D1, 0, 0\n3, 0, 25d-1, 0\n4, 0, 0, 1E0\n*ELEMENT, TYPE=C3D4\n9, 1, 2, 3, 4\n"
+                          "*ELSET, ELSET=\"Upper Part\"\n9\n*NSET, NSET=Base\n1, 2\n*ELSET, elset=UPPER PART\n9\n",
+                          NULL);
+    (void)state;
+    assert_true(p.m.x[3] == 15 && p.m.x[7] == 2.5 && p.m.x[11] == 1);
+    assert_int_equal(p.s.sets, 2);
+    assert_string_equal(sfem_mesh_sets_find(&p.s, "upper part", 1)->name, "Upper Part");
+    assert_string_equal(sfem_mesh_sets_find(&p.s, "BASE", 0)->name, "Base");
+    drop(&p);
+}
+
+static void what_is_not_read_is_told_by_its_name(void **state)
+{
+    static const struct {
+        const char *text;
+        sfem_status status;
+        const char *words;
+    } table[] = {
+        {"$NOD\n4\n1 0 0 0\n", SFEM_FORMAT, "Gmsh 1: only 2.0 to 2.2 and 4.1"},
+        {"$ Created by a program\nBEGIN BULK\n", SFEM_FORMAT, "are read, this begins with '$'"},
+        {"$$ comment\nBEGIN BULK\n", SFEM_FORMAT, "are read, this begins with '$$'"},
+        {"$MeshFormat\n2.2 0 8\n$EndMeshFormat\n$ParametricNodes\n0\n$EndParametricNodes\n", SFEM_FORMAT,
+         "$ParametricNodes: write the file without Mesh.SaveParametric, or as 4.1"},
+        {"$MeshFormat\n2.2 0 8\n$EndMeshFormat\n$Nodes\n4\n1 0 0 0\n2 1 0 0\n3 0 1 0\n4 0 0 1\n$EndNodes\n$Elements\n2\n"
+         "1 2 1 0 1 2 3\n2 29 1 0 1 2 3 4 1 2 3 4 1 2 3 4 1 2 3 4 1 2 3 4\n$EndElements\n",
+         SFEM_BAD_MESH, "there are 1 volume cells, but none is a tet of 4 or 10 nodes"},
+        {"MeshVersionFormatted 1\nDimension 3\nVertices 1\n0 0 0 0\nHexahedra 1\n1 1 1 1 1 1 1 1 0\nEnd\n", SFEM_BAD_MESH,
+         "there are 1 volume cells, but none is a tet of 4 or 10 nodes"},
+        {"# vtk DataFile Version 4.2\nt\nASCII\nDATASET POLYDATA\n", SFEM_FORMAT, "'POLYDATA': write surfaces as .ply"},
+        {"<VTKFile type=\"PolyData\">", SFEM_FORMAT, "only UnstructuredGrid is read; write surfaces as .ply"},
+        {"<VTKFile type=\"ImageData\">", SFEM_FORMAT, "a VTK file of ImageData: only UnstructuredGrid is read"}};
+    size_t k;
+    (void)state;
+    for (k = 0; k < TEST_COUNT(table); ++k)
+        refuse(table[k].text, strlen(table[k].text), NULL, table[k].status, table[k].words);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
@@ -904,6 +1071,12 @@ int main(void)
         cmocka_unit_test(sets_of_abaqus_cannot_grow_without_end),
         cmocka_unit_test(files_of_many_small_things_take_time_as_their_bytes),
         cmocka_unit_test(inp_includes_files_beside_it),
+        cmocka_unit_test(regions_are_found_behind_arrays_of_any_kind),
+        cmocka_unit_test(regions_are_found_behind_binary_bits_and_strings),
+        cmocka_unit_test(polyhedra_and_cells_of_higher_order_are_volume_cells),
+        cmocka_unit_test(medit_may_have_a_section_of_tets_for_each_part),
+        cmocka_unit_test(abaqus_has_fortran_numbers_and_names_as_they_are_written),
+        cmocka_unit_test(what_is_not_read_is_told_by_its_name),
         cmocka_unit_test(changed_files_do_no_harm),
         cmocka_unit_test(every_allocation_may_fail),
     };

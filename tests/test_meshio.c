@@ -879,7 +879,6 @@ static void malformed_medit_is_refused_with_its_line(void **state)
         {23, "1 2 3 0 4", SFEM_BAD_MESH, 23, "tet 0 names vertex 0, the vertices are 1 .. 6"},
         {24, "1 2 3 7 4", SFEM_BAD_MESH, 24, "tet 1 names vertex 7, the vertices are 1 .. 6"},
         {24, "1 2 3 6 9999999999", SFEM_FORMAT, 24, "the reference of a tet is 9999999999"},
-        {25, "Tetrahedra 0", SFEM_FORMAT, 25, "Tetrahedra a second time"},
     };
     (void)state;
     assert_refused(medit_lines, table, TEST_COUNT(table));
@@ -1554,6 +1553,26 @@ static void files_that_cannot_be_used_are_reported(void **state)
     free_ball(&m);
 }
 
+static void a_surface_of_another_mesh_is_not_written(void **state)
+{
+    const char *path = scratch_path("test_meshio_other.obj");
+    sfem_int tri[2][3] = {{0, 1, 2}, {0, 1, -1}};
+    sfem_surface surface;
+    sfem_mesh m = test_ball();
+    sfem_error err;
+    (void)state;
+    memset(&surface, 0, sizeof surface);
+    surface.triangles = 2;
+    surface.tri = tri[0];
+    remove(path);
+    assert_status(sfem_mesh_write_obj(path, &m, &surface, NULL, &err), SFEM_BAD_MESH);
+    assert_names(err, "triangle 1 of the surface names node -1, the mesh has");
+    tri[1][2] = m.nodes;
+    assert_status(sfem_mesh_write_obj(path, &m, &surface, NULL, &err), SFEM_BAD_MESH);
+    assert_int_not_equal(access(path, F_OK), 0);
+    free_ball(&m);
+}
+
 static void a_mesh_of_negative_counts_is_not_written(void **state)
 {
     const char *path = scratch_path("test_meshio_negative");
@@ -1733,6 +1752,7 @@ int main(void)
         cmocka_unit_test(pvd_lists_files_and_times),
         cmocka_unit_test(obj_holds_the_surface_at_the_given_positions),
         cmocka_unit_test(files_that_cannot_be_used_are_reported),
+        cmocka_unit_test(a_surface_of_another_mesh_is_not_written),
         cmocka_unit_test(a_mesh_of_negative_counts_is_not_written),
         cmocka_unit_test(a_file_with_a_fault_is_named_with_the_line),
         cmocka_unit_test(every_allocation_may_fail),

@@ -271,6 +271,9 @@ static void definitions_say_who_has_to_make_them(void **state)
     sfem_model_def model_def = sfem_default_model_def(), no_model_def;
     sfem_body_def body_def, damaged = sfem_default_body_def();
     sfem_damage_def damage;
+    sfem_contact_def contact_def;
+    sfem_obstacle_def obstacle_def;
+    sfem_contact *contact;
     sfem_modes_def modes_def;
     sfem_mesher_def mesher_def;
     sfem_link_def link_def;
@@ -301,6 +304,15 @@ static void definitions_say_who_has_to_make_them(void **state)
     memset(&damage, 0, sizeof damage);
     damaged.damage = &damage;
     SAYS(sfem_body_create(model, &damaged, &body, &err), "sfem_default_damage_def");
+    memset(&contact_def, 0, sizeof contact_def);
+    SAYS(sfem_contact_create(&contact_def, &contact, &err), "sfem_default_contact_def");
+    assert_ok(sfem_contact_create(NULL, &contact, &err), err);
+    memset(&obstacle_def, 0, sizeof obstacle_def);
+    SAYS(sfem_contact_add_obstacle(contact, &obstacle_def, NULL, &err), "sfem_default_obstacle_def");
+    obstacle_def = sfem_default_obstacle_def();
+    memset(&obstacle_def.contact, 0, sizeof obstacle_def.contact);
+    SAYS(sfem_contact_add_obstacle(contact, &obstacle_def, NULL, &err), "sfem_default_contact_surface");
+    sfem_contact_free(contact);
     memset(&modes_def, 0, sizeof modes_def);
     SAYS(sfem_modes_create(model, &modes_def, &modes, &err), "sfem_default_modes_def");
     memset(&mesher_def, 0, sizeof mesher_def);
