@@ -7,7 +7,7 @@
 
 SC_STATIC sfem_status sc_drop_create(sc_world *w, sfem_error *err)
 {
-    const double a = SC_PI / 180 * sc_value(w, "tilt", 60), at[3] = {0, 0, sc_value(w, "height", 0.6) + 0.5};
+    const double a = SC_PI / 180 * sc_value(w, "tilt", 60), at[3] = {-0.8 * sin(a), 0, sc_value(w, "height", 0.6) + 0.5};
     const double tilt[9] = {cos(a), 0, sin(a), 0, 1, 0, -sin(a), 0, cos(a)};
     const sfem_damage_def damage = sc_damage_def(w);
     sfem_body_def def;
@@ -16,7 +16,7 @@ SC_STATIC sfem_status sc_drop_create(sc_world *w, sfem_error *err)
     def = sc_body_def(w);
     def.damage = &damage;
     w->floor = 0;
-    sc_look_at(w, -0.6, 0.6, -0.3, 0.3, 0, 1.1);
+    sc_look_at(w, -0.8, 0.8, -0.4, 0.4, 0, 1);
     SC_TRY(sc_add_body(w, &def, NULL, 5, err));
     SC_TRY(sfem_body_place(w->item[0].body, tilt, at, err));
     return sc_touch_floor(w, err);
