@@ -96,6 +96,14 @@ static void scenes_do_what_they_are_for(void **state)
     assert_near(high, 0.03, 0, 0.002);
     sc_close(w);
 
+    w = opened("drop", NULL, 0); /* it falls, and lies on the floor */
+    assert_ok(sc_run(w, 150, &err), err);
+    sc_positions(w, 0, w->x);
+    for (low = 1, i = 0; i < w->mesh.nodes; ++i) low = fmin(low, w->x[3 * i + 2]);
+    assert_near(low, 0, 0, 0.005);
+    assert_true(sc_measure_all(w).contacts > 0);
+    sc_close(w);
+
     w = opened("modes", "amplitude", 0.1); /* each in its own mode: nothing else moves, and the energy stays */
     {
         const sc_measure before = sc_measure_all(w);

@@ -7,6 +7,7 @@
 #include "grab.h"
 #include "cut.h"
 #include "tear.h"
+#include "drop.h"
 #include "jelly.h"
 #include "twist.h"
 #include "shatter.h"
@@ -15,6 +16,9 @@
 
 static const sc_scene *const sc_scenes[] = {
     &sc_scene_grab, &sc_scene_cut, &sc_scene_tear, &sc_scene_jelly, &sc_scene_twist, &sc_scene_shatter,
+#ifndef SFEM_NO_CONTACT
+    &sc_scene_drop,
+#endif
 #ifndef SFEM_NO_MODES
     &sc_scene_modes,
 #endif

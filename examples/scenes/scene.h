@@ -91,6 +91,9 @@ struct sc_world {
     sfem_reduced *reduced;
     sfem_reduced_view *view; /* all nodes */
 #endif
+#ifndef SFEM_NO_CONTACT
+    sfem_contact *contact; /* or NULL: nothing is touched */
+#endif
     sc_item item[SC_ITEMS];
     int items;
     double box[2][3]; /* m, what is worth looking at */
@@ -238,6 +241,21 @@ SC_STATIC sfem_status sc_add_body(sc_world *w, const sfem_body_def *def, const d
     return sfem_body_place(item->body, NULL, at, err);
 }
 
+#ifndef SFEM_NO_CONTACT
+/* The bodies so far touch the floor. */
+SC_STATIC sfem_status sc_touch_floor(sc_world *w, sfem_error *err)
+{
+    const double up[3] = {0, 0, 1}, at[3] = {0, 0, w->floor};
+    sfem_contact_surface surface = sfem_default_contact_surface();
+    sfem_obstacle_def plane = sfem_obstacle_plane(up, at);
+    int k;
+    surface.friction = plane.contact.friction = sc_value(w, "friction", 0.5);
+    SC_TRY(sfem_contact_create(NULL, &w->contact, err));
+    for (k = 0; k < w->items; ++k) SC_TRY(sfem_contact_add_body(w->contact, w->item[k].body, &surface, ~0u, NULL, err));
+    return sfem_contact_add_obstacle(w->contact, &plane, NULL, err);
+}
+#endif
+
 /* How many there are, and [3] of each, m. */
 SC_STATIC void sc_positions(const sc_world *w, int item, double *x)
 {
@@ -264,6 +282,9 @@ SC_STATIC void sc_close(sc_world *w)
 {
     int k;
     if (!w) return;
+#ifndef SFEM_NO_CONTACT
+    sfem_contact_free(w->contact);
+#endif
     for (k = 0; k < w->items; ++k) {
         sfem_body_free(w->item[k].body);
 #ifndef SFEM_NO_REDUCED
@@ -330,8 +351,14 @@ SC_STATIC sfem_status sc_step(sc_world *w, sfem_error *err)
 #ifndef SFEM_NO_REDUCED
         if (w->item[k].modal) SC_TRY(sfem_modal_step(w->item[k].modal, h, err));
 #endif
+#ifndef SFEM_NO_CONTACT
+        if (w->contact) continue;
+#endif
         if (w->item[k].body) SC_TRY(sfem_body_step(w->item[k].body, h, err));
     }
+#ifndef SFEM_NO_CONTACT
+    if (w->contact) SC_TRY(sfem_contact_step(w->contact, h, err));
+#endif
     w->time += h;
     ++w->steps;
     return SFEM_OK;
@@ -555,7 +582,7 @@ typedef struct sc_measure {
     double rejected, corrections;  /* steps so far; of the last step, the largest of all bodies */
     double pieces, broken;         /* of all bodies together; edges */
     double large;                  /* pieces of at least a twentieth of a body's nodes */
-    double contacts;               /* with obstacles, in the last step; none of the scenes has any yet */
+    double contacts;               /* with obstacles, in the last step */
 } sc_measure;
 
 /* How many pieces of a body have at least a twentieth of its nodes. */
@@ -584,6 +611,9 @@ SC_STATIC sc_measure sc_measure_all(sc_world *w)
     sc_measure m;
     int k;
     memset(&m, 0, sizeof m);
+#ifndef SFEM_NO_CONTACT
+    if (w->contact) m.contacts = (double)sfem_contact_get_info(w->contact).contacts;
+#endif
     for (k = 0; k < w->items; ++k) {
         sfem_body *body = w->item[k].body;
         if (body) {

@@ -19,6 +19,7 @@ __attribute__((import_module("page"), import_name("failed"))) void page_failed(c
 #define SFEM_ENABLE_MESHER
 #define SFEM_ENABLE_EMBED
 #define SFEM_ENABLE_DAMAGE
+#define SFEM_ENABLE_CONTACT
 #define SFEM_ENABLE_MODES
 #define SFEM_ENABLE_REDUCED
 
