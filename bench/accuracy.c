@@ -655,7 +655,7 @@ static double pqr_against_newmark(double p, int damped)
         def.integrator = k ? SFEM_NEWMARK : SFEM_PQR;
         def.p = def.beta = p;
         def.mass_damping = damped ? 2 : 0;
-        def.stiffness_damping = damped ? 1e-3 : 0;
+        def.stiffness_damping = damped && p == 0.25 ? 1e-3 : 0; /* else the first step differs: it makes no energy */
         body[k] = hold(&b, def);
         bench_must(sfem_body_set_state(body[k], NULL, v, &err), &err);
     }
@@ -815,7 +815,7 @@ static void identities(void)
     for (k = 0; k < 6; ++k)
         row(0, pqr_against_newmark(p[k % 3], k / 3), 1e-11,
             "(%g,1,1) - Newmark(%g, 1/2), changing load%s", p[k % 3], p[k % 3],
-            k / 3 ? ", Rayleigh damping" : "");
+            k < 3 ? "" : k > 3 ? ", mass damping" : ", Rayleigh damping");
     for (law = 1; law < 4; ++law)
         row(0, corrected_against_newton((sfem_law)law), 1e-5,
             "accuracy 1e-12, no dissipation - trapezoidal Newton, %s", law_name[law]);
