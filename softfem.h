@@ -30064,7 +30064,9 @@ static double sfemi_refactor_tangent(sfem_body *b)
     job.model = b->model;
     job.block = b->model->chunks.block;
     job.u = r->u;
-    job.kind = SFEM_TANGENT_PSD;
+    /* Smooth tets: a tet that is stretched beyond its star has no geometric stiffness of its own. K0, each tet rotated
+     * as it is itself, stands for the stars' frozen tangent. */
+    job.kind = b->model->smooth ? SFEM_TANGENT_FROZEN : SFEM_TANGENT_PSD;
     job.val = r->k[r->live == 1].val;
     job.chunk = c->color_chunk;
     job.kernel = sfemi_pairs_path[sfemi_path()];

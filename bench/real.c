@@ -1,7 +1,7 @@
 /* real - the default step beside others on real and on unstructured meshes (real.h).
  *
  *     bench/real [--quick] [--scene TEXT] [--form TEXT] [--h 60] [--young E] [--law corotational] [--tet linear]
- *                [--poisson 0.38] [--out build/bench-real] [--reference | --long | --eigen]
+ *                [--poisson 0.38] [--dissipation 0.1] [--out build/bench-real] [--reference | --long | --eigen]
  *
  * Without a mode: the error of the tip nodes over a second, every 1/30 s, over their amplitude (root mean squares),
  * against the trapezoidal rule with full Newton at a small step; rejected steps; solves a step; time of a step, mean,
@@ -57,6 +57,8 @@ static const form forms[] = {
 };
 enum { FORMS = sizeof forms / sizeof *forms };
 
+static double dissipation; /* of corrected steps */
+
 static int is_newton(const form *f)
 {
     return f->integrator == SFEM_NEWMARK || f->integrator == SFEM_BACKWARD_EULER;
@@ -79,6 +81,7 @@ static sfem_body_def def_of(const form *f, const real_scene *s)
     if (f->accuracy > 0) d.accuracy = f->accuracy;
     d.precision = f->precision;
     d.refactorise = f->refactorise;
+    d.dissipation = dissipation;
     return d;
 }
 
@@ -455,6 +458,7 @@ static settings settings_of(const ex_options *o)
         s.law_name = name;
     }
     s.poisson = ex_real(o, "--poisson");
+    dissipation = ex_real(o, "--dissipation");
     s.out = ex_text(o, "--out");
     s.scene = ex_text(o, "--scene");
     s.form = ex_text(o, "--form");
@@ -479,6 +483,7 @@ int main(int argc, char **argv)
         {"--law", "corotational|stvk|neohookean", "corotational", "of the material"},
         {"--tet", "linear|smooth", "linear", "of the material"},
         {"--poisson", "NU", "0.38", "Poisson's ratio"},
+        {"--dissipation", "A", "0.1", "of corrected steps"},
         {"--out", "DIR", "build/bench-real", "where the references are kept"},
         {"--reference", NULL, NULL, "only make the references that are missing"},
         {"--long", NULL, NULL, "energy over six seconds"},

@@ -1332,6 +1332,64 @@ static void options_of_rotating_bodies_work(void **state)
     sfem_mesh_free(&mesh);
 }
 
+/* At nu = 0 patches have no part, and the factor of the present tangent is that of linear tets, each rotated as it is
+ * itself, without their geometric stiffness. One solve a step shows which factor it is. */
+static void another_factor_has_no_geometric_stiffness_of_tets(void **state)
+{
+    sfem_mesh mesh = block(6, 2, 2, 3, SFEM_CELL_6_TETS);
+    sfem_material material = smooth_material(SFEM_COROTATIONAL, 0), plain = material;
+    double *u = reals(3 * (size_t)mesh.nodes), *w[3];
+    sfem_model *linear;
+    sfem_error err;
+    sfem_int i, at, k;
+    int kind, c;
+    (void)state;
+    material.young = plain.young = 1e5;
+    plain.tet = SFEM_TET_LINEAR;
+    linear = smooth_model(&mesh, plain);
+    for (i = 0; i < 3 * mesh.nodes; ++i) /* stretched, and bent */
+        u[i] = mesh.x[i / 3 * 3] * (i % 3 == 0 ? 0.5 : i % 3 == 2 ? 0.1 * mesh.x[i / 3 * 3] : 0);
+    for (kind = 0; kind < 3; ++kind) {
+        sfem_body_def def = sfem_default_body_def();
+        sfem_matrix own, k0;
+        sfem_model *model;
+        sfem_body *body;
+        def.refactorise = 1e6;
+        def.accuracy = 1; /* no corrections */
+        body = hanging_bar(&mesh, material, def, &model);
+        assert_ok(sfem_body_prepare(body, 1.0 / 60, &err), err);
+        assert_ok(sfem_body_set_state(body, u, NULL, &err), err);
+        assert_ok(sfem_model_combine(linear, 1, 0, 0, NULL, &own, &err), err);
+        assert_ok(sfem_model_combine(model, 1, 0, 0, NULL, &k0, &err), err);
+        sfem_model_tangent(linear, u, kind == 2 ? SFEM_TANGENT_PSD : SFEM_TANGENT_FROZEN, &own, NULL);
+        memset(k0.val, 0, 9 * (size_t)k0.row[k0.n] * sizeof *k0.val);
+        for (i = 0; i < own.n; ++i)
+            for (at = own.row[i]; at < own.row[i + 1]; ++at) {
+                for (k = k0.row[i]; k0.col[k] != own.col[at]; ++k) assert_true(k + 1 < k0.row[i + 1]);
+                memcpy(k0.val + 9 * (size_t)k, own.val + 9 * (size_t)at, 9 * sizeof *k0.val);
+            }
+        assert_ok(sfem_body_refactorise(body, kind ? &k0 : NULL, &err), err);
+        for (c = 0; c < 2; ++c) assert_ok(sfem_body_step(body, 1.0 / 60, &err), err);
+        assert_true(sfem_body_get_refactorisation(body).made > 0);
+        w[kind] = reals(3 * (size_t)mesh.nodes);
+        memcpy(w[kind], sfem_body_displacement(body), 3 * (size_t)mesh.nodes * sizeof *u);
+        sfem_matrix_free(&own);
+        sfem_matrix_free(&k0);
+        sfem_body_free(body);
+        sfem_model_free(model);
+    }
+    for (c = 1; c < 3; ++c) {
+        double most = 0;
+        for (i = 0; i < 3 * mesh.nodes; ++i) most = fmax(most, fabs(w[c][i] - w[0][i]));
+        if (c == 1) assert_true(most < 1e-10);
+        else assert_true(most > 1e-4);
+    }
+    for (c = 0; c < 3; ++c) free(w[c]);
+    free(u);
+    sfem_model_free(linear);
+    sfem_mesh_free(&mesh);
+}
+
 static void central_differences_need_no_factor(void **state)
 {
     sfem_mesh mesh = block(4, 1, 1, 4, SFEM_CELL_6_TETS);
@@ -1585,6 +1643,7 @@ int main(void)
         cmocka_unit_test(newtons_methods_converge),
         cmocka_unit_test(handles_hold_and_bodies_sleep),
         cmocka_unit_test(options_of_rotating_bodies_work),
+        cmocka_unit_test(another_factor_has_no_geometric_stiffness_of_tets),
         cmocka_unit_test(central_differences_need_no_factor),
         cmocka_unit_test(what_bodies_cannot_do_is_refused),
         cmocka_unit_test(kr_alpha_and_newmark_are_those_of_k_itself),
