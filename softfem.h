@@ -32628,7 +32628,13 @@ static void sfemi_columns_release(sfem_contact *c, sfemi_touch *t)
     sfemi_delete(&c->def.allocator, k);
 }
 
-/* For the factor that the body steps with now: those of another body with the same, or none yet. */
+/* May the body use these? Regions choose which of its nodes may touch: two bodies of a model need not have the same. */
+static int sfemi_columns_fit(const sfemi_columns *k, const sfemi_touch *t)
+{
+    return k->surface == t->nodes && memcmp(k->node, t->node, (size_t)t->nodes * sizeof *t->node) == 0;
+}
+
+/* For the factor that the body steps with now: those of another body with the same factor and nodes, or none yet. */
 static sfem_status sfemi_columns_get(sfem_contact *c, sfemi_touch *t, sfem_error *err)
 {
     sfem_body *b = t->body;
@@ -32641,7 +32647,7 @@ static sfem_status sfemi_columns_get(sfem_contact *c, sfemi_touch *t, sfem_error
     sfem_int i, node, surface;
     if (k && k->factor == f && k->stamp == stamp) return SFEM_OK;
     sfemi_columns_release(c, t);
-    for (k = c->columns; k && !(k->factor == f && k->stamp == stamp && owned);) k = k->next;
+    for (k = c->columns; k && !(k->factor == f && k->stamp == stamp && owned && sfemi_columns_fit(k, t));) k = k->next;
     if (!k) {
         SFEMI_NEW(sfemi_columns, k, al, 1);
         k->users = 1;
