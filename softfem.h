@@ -1962,7 +1962,12 @@ SFEM_DEF void sfem_body_fragment_positions(sfem_body *body, const sfem_fragments
  *            handles, damaged: pieces collide with obstacles, not yet with each other. Each needs a workspace of its own
  *   Steps    by sfem_contact_step alone; sfem_body_step of a body moves it as if there were no obstacles. Forces, pins,
  *            handles and states are the caller's as before, between two steps
- *   Swept    a node that passes an obstacle within a step is found on its way
+ *   Swept    a node that passes an obstacle within a step is found on its way. Balls of 0.15 m hold before plates of
+ *            2 mm where they move by 0.5 m a step (30 m/s at h = 1/60); of twice that and more some pass, or stay astride
+ *            of the plate. Smaller steps are the cure
+ *   Energy   a rejected step gives a body no more than it had and what obstacles that move or push it out have done. Free
+ *            bodies to which its solution would give more, as where one turns over within a step, move as rigid bodies in
+ *            that step, which stop at obstacles without friction
  *   Faces    so are obstacles that meet a face of the body between its nodes: small ones, corners, edges, peaks
  *   Threads  as the bodies have them; results have the same bits for any number */
 typedef struct sfem_contact sfem_contact;
@@ -32206,6 +32211,7 @@ typedef struct sfemi_obstacle {
     sfem_real *heights;
     sfem_real safe;   /* distances are at least this part of what is told */
     sfem_real reach;  /* no part of it is farther from its position; < 0: no such bound */
+    sfem_real top;    /* the largest of the heights */
     sfem_real force[3], torque[3];
 } sfemi_obstacle;
 
@@ -32569,6 +32575,26 @@ static size_t sfemi_shell_slot(const sfem_int *table, size_t size, sfem_int a, s
     return at;
 }
 
+/* Is a closed surface counterclockwise from outside? Else all but its inside would be the obstacle. */
+static sfem_status sfemi_shell_check_side(const sfemi_shell *s, sfem_error *err)
+{
+    sfem_real volume = 0;
+    sfem_int i;
+    for (i = 0; s->closed && i < s->triangles; ++i) {
+        const sfem_int *t = s->tri + 3 * (size_t)i;
+        sfem_real e[3], f[3], g[3], n[3];
+        sfemi_sub3(s->x + 3 * (size_t)t[0], s->x, e);
+        sfemi_sub3(s->x + 3 * (size_t)t[1], s->x, f);
+        sfemi_sub3(s->x + 3 * (size_t)t[2], s->x, g);
+        sfemi_cross(f, g, n);
+        volume += sfemi_dot3(e, n) / 6;
+    }
+    if (volume >= 0) return SFEM_OK;
+    return sfemi_fail(err, SFEM_BAD_MESH,
+                      "the obstacle's surface is closed and inside out, its volume is %g m^3: swap two corners of each "
+                      "triangle, so that they are counterclockwise from outside", volume);
+}
+
 /* Normals of faces, edges and corners, and whether each edge has two sides. */
 static sfem_status sfemi_shell_orient(sfemi_shell *s, const sfem_allocator *al, sfem_error *err)
 {
@@ -32670,6 +32696,7 @@ static sfem_status sfemi_shell_create(const sfem_surface *surface, const sfem_al
     for (i = 0; i < s->triangles; ++i) memcpy(tri + 3 * (size_t)i, s->tri + 3 * (size_t)order[i], 3 * sizeof *tri);
     memcpy(s->tri, tri, 3 * (size_t)s->triangles * sizeof *tri);
     SFEMI_TRY(sfemi_shell_orient(s, al, err));
+    SFEMI_TRY(sfemi_shell_check_side(s, err));
     *out = s;
     s = NULL;
 done:
@@ -32801,6 +32828,41 @@ static int sfemi_obstacle_moves(const sfemi_obstacle *o)
     return sfemi_dot3(o->velocity, o->velocity) + sfemi_dot3(o->angular, o->angular) > 0;
 }
 
+/* The same of a height field, in whose axes all corners are beyond one of its sides or above its highest point. */
+static int sfemi_obstacle_is_beside(const sfemi_obstacle *o, sfem_real box[2][3], sfem_real margin)
+{
+    sfem_real low[3] = {1e300, 1e300, 1e300}, high[2] = {-1e300, -1e300};
+    int c, k;
+    for (c = 0; c < 16; ++c) {
+        const sfem_real corner[3] = {box[c & 1][0], box[c >> 1 & 1][1], box[c >> 2 & 1][2]};
+        sfem_real y[3];
+        if (c & 8) sfemi_obstacle_to_local(o->to, o->to_axes, corner, y);
+        else sfemi_obstacle_to_local(o->from, o->from_axes, corner, y);
+        for (k = 0; k < 3; ++k) low[k] = fmin(low[k], y[k]);
+        for (k = 0; k < 2; ++k) high[k] = fmax(high[k], y[k]);
+    }
+    for (k = 0; k < 2; ++k)
+        if (low[k] > (o->def.cells[k] - 1) * o->def.size[k] + margin || high[k] < -margin) return 1;
+    return low[2] > o->top + margin;
+}
+
+/* The same of a distance function, by the distance of the box's centre. */
+static int sfemi_obstacle_is_around(const sfemi_obstacle *o, sfem_real box[2][3], sfem_real margin)
+{
+    sfem_real centre[3], half[3], y0[3], y1[3], way[3], n[3], s, far;
+    int c;
+    for (c = 0; c < 3; ++c) {
+        centre[c] = (box[0][c] + box[1][c]) / 2;
+        half[c] = (box[1][c] - box[0][c]) / 2;
+    }
+    sfemi_obstacle_to_local(o->from, o->from_axes, centre, y0);
+    sfemi_obstacle_to_local(o->to, o->to_axes, centre, y1);
+    sfemi_sub3(y1, y0, way);
+    far = sqrt(sfemi_dot3(half, half)) + margin + sqrt(sfemi_dot3(way, way));
+    s = sfemi_obstacle_distance(o, y1, n);
+    return s < 1e299 && o->safe * s > far; /* where it is not defined it may be so elsewhere */
+}
+
 /* Is all of the box farther than the margin from wherever it is in the step? */
 static int sfemi_obstacle_is_far(const sfemi_obstacle *o, sfem_real box[2][3], sfem_real margin)
 {
@@ -32817,7 +32879,8 @@ static int sfemi_obstacle_is_far(const sfemi_obstacle *o, sfem_real box[2][3], s
         }
         return least > margin;
     }
-    if (o->reach < 0) return 0;
+    if (o->def.kind == SFEM_OBSTACLE_HEIGHTS) return sfemi_obstacle_is_beside(o, box, margin);
+    if (o->reach < 0) return sfemi_obstacle_is_around(o, box, margin);
     sfemi_sub3(o->to, o->from, way);
     reach = o->reach + margin + sqrt(sfemi_dot3(way, way));
     for (c = 0; c < 3; ++c) {
@@ -33138,6 +33201,21 @@ static int sfemi_contact_has_left(const sfemi_touch *t, const sfemi_obstacle *o,
     return sfemi_obstacle_distance(o, y0, n) > 0 && sfemi_obstacle_trace(o, y0, y, touch, n) > 1;
 }
 
+/* Is a row's point, inside at the start of the step, much farther from its plane than from another side? Then it goes out
+ * there. In a plate, thinner than half an edge, it never is: it goes back to where it came from. */
+static void sfemi_contact_change_side(const sfemi_touch *t, const sfemi_obstacle *o, sfemi_row *row, sfem_real h)
+{
+    sfem_real x0[3], y0[3], n[3], way[3], s;
+    int k;
+    sfemi_contact_point_of(t, row, NULL, h, x0);
+    sfemi_obstacle_to_local(o->from, o->from_axes, x0, y0);
+    s = sfemi_obstacle_distance(o, y0, n);
+    sfemi_sub3(row->local_place, y0, way);
+    if (!(s < 0 && sfemi_dot3(row->local_normal, way) > -s + 0.5 * t->edge)) return;
+    memcpy(row->local_normal, n, sizeof n);
+    for (k = 0; k < 3; ++k) row->local_place[k] = y0[k] - s * n[k];
+}
+
 /* Rows that were there: their planes at where they are now. */
 static void sfemi_contact_follow(const sfem_contact *c, sfemi_touch *t, const sfem_real *w, sfem_real h)
 {
@@ -33161,7 +33239,7 @@ static void sfemi_contact_follow(const sfem_contact *c, sfemi_touch *t, const sf
         if (s < 1e299 && (sfemi_dot3(n, row->local_normal) > 0.3 || (s > 0 && sfemi_contact_has_left(t, o, row, h, y)))) {
             memcpy(row->local_normal, n, sizeof n);
             for (k = 0; k < 3; ++k) row->local_place[k] = y[k] - s * n[k];
-        }
+        } else if (s < 0) sfemi_contact_change_side(t, o, row, h);
         sfemi_contact_place(c, t, row, h);
     }
 }
@@ -33184,6 +33262,13 @@ static int sfemi_contact_face_is_touched(const sfemi_touch *t, const sfemi_row *
     return 0;
 }
 
+/* Has a face come apart? Then it is none: its nodes, of several pieces, are as far from each other as they like. */
+static int sfemi_contact_face_is_broken(const sfemi_touch *t, const sfem_int *tri)
+{
+    const sfem_int *of = t->body->rotated.piece_of;
+    return t->body->damage && (of[tri[0]] != of[tri[1]] || of[tri[1]] != of[tri[2]]);
+}
+
 /* Faces of the body that meet an obstacle between their nodes, and have no row with it there. */
 static sfem_status sfemi_contact_detect_faces(sfem_contact *c, sfemi_touch *t, sfem_int obstacle, const sfem_real *w,
                                               sfem_real h, sfem_error *err)
@@ -33197,7 +33282,7 @@ static sfem_status sfemi_contact_detect_faces(sfem_contact *c, sfemi_touch *t, s
         sfem_real first[9], corner[9];
         sfemi_row row;
         memset(&row, 0, sizeof row);
-        if (!sfemi_contact_face_meets(t, o, tri, w, h, row.weight)) continue;
+        if (sfemi_contact_face_is_broken(t, tri) || !sfemi_contact_face_meets(t, o, tri, w, h, row.weight)) continue;
         row.feature = nodes + i;
         row.obstacle = obstacle;
         if (sfemi_contact_face_is_touched(t, &row)) continue;
@@ -33279,7 +33364,13 @@ static void sfemi_columns_release(sfem_contact *c, sfemi_touch *t)
     sfemi_delete(&c->def.allocator, k);
 }
 
-/* For the factor that the body steps with now: those of another body with the same, or none yet. */
+/* May the body use these? Regions choose which of its nodes may touch: two bodies of a model need not have the same. */
+static int sfemi_columns_fit(const sfemi_columns *k, const sfemi_touch *t)
+{
+    return k->surface == t->nodes && t->nodes && memcmp(k->node, t->node, (size_t)t->nodes * sizeof *t->node) == 0;
+}
+
+/* For the factor that the body steps with now: those of another body with the same factor and nodes, or none yet. */
 static sfem_status sfemi_columns_get(sfem_contact *c, sfemi_touch *t, sfem_error *err)
 {
     sfem_body *b = t->body;
@@ -33292,7 +33383,7 @@ static sfem_status sfemi_columns_get(sfem_contact *c, sfemi_touch *t, sfem_error
     sfem_int i, node, surface;
     if (k && k->factor == f && k->stamp == stamp) return SFEM_OK;
     sfemi_columns_release(c, t);
-    for (k = c->columns; k && !(k->factor == f && k->stamp == stamp && owned);) k = k->next;
+    for (k = c->columns; k && !(k->factor == f && k->stamp == stamp && owned && sfemi_columns_fit(k, t));) k = k->next;
     if (!k) {
         SFEMI_NEW(sfemi_columns, k, al, 1);
         k->users = 1;
@@ -33417,7 +33508,7 @@ static sfem_status sfemi_columns_expect(sfem_contact *c, sfemi_touch *t, sfem_re
     sfem_status status = SFEM_OK;
     sfem_real box[2][3];
     int k;
-    if (!(c->early > 0)) return SFEM_OK;
+    if (!(c->early > 0 && t->nodes)) return SFEM_OK;
     for (k = 0; k < 3; ++k) box[0][k] = 1e300, box[1][k] = -1e300;
     for (i = 0; i < t->nodes; ++i)
         for (k = 0; k < 3; ++k) {
@@ -33919,6 +34010,24 @@ static sfem_real sfemi_contact_negligible(const sfem_contact *c, const sfemi_tou
 
 /* ---- the trial ---- */
 
+/* Rows far from their plane go: of a body that was put elsewhere. */
+static void sfemi_contact_drop_far(sfem_contact *c, sfemi_touch *t)
+{
+    sfem_int i, kept = 0;
+    for (i = 0; i < t->rows; ++i) {
+        const sfemi_row *row = t->row + i;
+        const sfemi_obstacle *o = c->obstacle + row->obstacle;
+        sfem_real x[3], y[3];
+        sfemi_contact_point_of(t, row, NULL, 0, x);
+        sfemi_obstacle_to_local(o->from, o->from_axes, x, y);
+        sfemi_sub3(y, row->local_place, y);
+        if (sfemi_dot3(row->local_normal, y) > t->edge) continue;
+        t->row[kept++] = *row;
+    }
+    c->rows -= t->rows - kept;
+    t->rows = kept;
+}
+
 /* The step's right side, with the impulses of the last one. */
 static sfem_status sfemi_contact_begin(sfem_contact *c, sfemi_touch *t, sfem_real h, sfem_error *err)
 {
@@ -33927,6 +34036,7 @@ static sfem_status sfemi_contact_begin(sfem_contact *c, sfemi_touch *t, sfem_rea
     sfem_int i;
     int k;
     size_t at;
+    sfemi_contact_drop_far(c, t);
     b->rotated.by_hand = t->rows > 0 || b->state.head->step_forces;
     b->kicked = 0;
     t->fallback = t->lost = 0;
@@ -34419,14 +34529,50 @@ static void sfemi_contact_start_fallback(sfemi_touch *t)
     t->q.touches = 1;
 }
 
-/* Where even that ends deep inside of an obstacle, as where a body was flattened in a step and had to be moved rigidly, it
- * stays where it was, with the velocity that it has got. */
-static void sfemi_contact_stay(sfemi_touch *t)
+/* J, of the obstacles in a fallback: what they do on the way that points really go, at most what they move by. */
+static sfem_real sfemi_contact_given(const sfem_contact *c, const sfemi_touch *t, const sfemi_row *row)
 {
-    sfem_body *b = t->body;
-    sfemi_safeguard *g = &b->safeguard;
-    const sfem_real *rest = b->model->mesh.x;
-    sfem_real deepest = 0, excess;
+    const sfem_body *b = t->body;
+    const sfem_real l = sfemi_dot3(row->axes, row->impulse), out = row->pushed ? sfemi_contact_push_speed(c, row, b->step.h) : 0;
+    const sfem_real most = sfemi_dot3(row->impulse, row->speed) + out * l;
+    sfem_real work = 0;
+    int k, a;
+    for (k = 0; k < row->parts; ++k)
+        for (a = 0; a < 3; ++a) {
+            const size_t at = 3 * (size_t)row->node[k] + (size_t)a;
+            work += row->weight[k] * row->impulse[a] * (b->safeguard.u[at] - b->state.u[at]) / b->step.h;
+        }
+    return fmin(most, fmax(0.0, work));
+}
+
+/* J, all that a body in a fallback has gained beyond the work of loads and obstacles. The safeguard's energies are without
+ * the motion of centres of mass, which impulses change. */
+static sfem_real sfemi_contact_gain(const sfem_contact *c, const sfemi_touch *t)
+{
+    const sfem_body *b = t->body;
+    const sfemi_safeguard *g = &b->safeguard;
+    const sfemi_state *s = &b->state;
+    const sfem_real back = s->head->started == SFEMI_RUNNING ? s->head->h / 2 : 0;
+    sfem_real kinetic = 0, work = 0;
+    sfem_int i;
+    int k;
+    for (i = 0; i < b->model->mesh.nodes; ++i)
+        for (k = 0; k < 3 && b->rotated.piece_of[i] >= 0; ++k) {
+            const size_t at = 3 * (size_t)i + (size_t)k;
+            const sfem_real m = b->model->node_mass[i], force = s->head->step_forces ? s->step_force[at] : 0;
+            kinetic += m * (g->w[at] * g->w[at] - s->w[at] * s->w[at]);
+            work += (m * s->head->gravity[k] + s->force[1][at]) * (g->u[at] - s->u[at] + back * s->w[at]) +
+                    force * (g->u[at] - s->u[at]);
+        }
+    for (i = 0; i < t->rows; ++i) work += fmax(0.0, sfemi_contact_given(c, t, t->row + i));
+    return b->scheme.r / 2 * kinetic + g->psi - s->head->psi - work;
+}
+
+/* m: how deep rows are in guard.u beyond what they may be. */
+static sfem_real sfemi_contact_sunk(const sfemi_touch *t)
+{
+    const sfem_body *b = t->body;
+    sfem_real deepest = 0;
     sfem_int i;
     int k, a;
     for (i = 0; i < t->rows; ++i) {
@@ -34435,15 +34581,119 @@ static void sfemi_contact_stay(sfemi_touch *t)
         for (k = 0; k < row->parts; ++k)
             for (a = 0; a < 3; ++a) {
                 const size_t at = 3 * (size_t)row->node[k] + (size_t)a;
-                gap += row->weight[k] * row->axes[a] * (rest[at] + g->u[at]);
+                gap += row->weight[k] * row->axes[a] * (b->model->mesh.x[at] + b->safeguard.u[at]);
             }
         deepest = fmax(deepest, -gap);
     }
-    if (!(deepest > 0.1 * t->edge) || b->schur.count || b->pin_count) return;
-    memcpy(g->u, b->state.u, 3 * (size_t)b->model->mesh.nodes * sizeof *g->u);
-    g->psi = sfemi_safeguard_forces(b, g->u, g->f);
-    excess = sfemi_safeguard_excess(b);
+    return deepest;
+}
+
+/* An impulse at a row by which its free piece, moved rigidly, ends `gap` higher; contact by rotations of parts of 1. */
+static void sfemi_contact_lift(sfemi_touch *t, sfemi_row *row, sfem_real gap)
+{
+    sfem_body *b = t->body;
+    sfemi_piece *p = b->rotated.piece + b->rotated.piece_of[row->node[0]];
+    sfem_real arm[3], turn[3], spin[3], l, angle;
+    int k;
+    sfemi_contact_point_of(t, row, NULL, 0, arm);
+    sfemi_sub3(arm, p->centre, arm);
+    sfemi_cross(arm, row->axes, turn);
+    for (k = 0; k < 3; ++k) spin[k] = sfemi_dot3(p->inertia_inverse + 3 * k, turn);
+    l = gap / b->step.h / (1 / p->mass + sfemi_dot3(turn, spin));
+    for (k = 0; k < 3; ++k) {
+        row->impulse[k] += l * row->axes[k];
+        p->rigid[k] += l * row->axes[k];
+        p->rigid[3 + k] += l * turn[k];
+    }
+    for (k = 0; k < 3; ++k) spin[k] = b->step.h * sfemi_dot3(p->inertia_inverse + 3 * k, p->rigid + 3);
+    angle = sqrt(sfemi_dot3(spin, spin));
+    for (k = 3; angle > 1 && k < 6; ++k) p->rigid[k] /= angle;
+}
+
+/* A last resort: free pieces move as rigid bodies, which stop at obstacles without friction. Psi stays what it is. */
+static sfem_status sfemi_contact_move_rigidly(sfem_contact *c, sfemi_touch *t, sfem_error *err)
+{
+    enum { ROUNDS = 3, MOST = 40 };
+    sfem_body *b = t->body;
+    sfemi_safeguard *g = &b->safeguard;
+    sfem_status status = SFEM_OK;
+    sfem_int i, found, worst;
+    int round, k;
+    sfemi_contact_start_fallback(t);
+    for (round = 0; round < ROUNDS; ++round) {
+        sfemi_safeguard_move_rigidly(b);
+        SFEMI_TRY(sfemi_contact_detect(c, t, g->w, b->step.h, &found, err));
+        for (k = 0, worst = 0; k < MOST && worst >= 0; ++k) {
+            sfem_real deepest = 1e-4 * t->edge;
+            for (i = 0, worst = -1; i < t->rows; ++i) {
+                sfemi_row *row = t->row + i;
+                sfem_real x[3], gap;
+                if (b->rotated.piece_of[row->node[0]] < 0) continue;
+                sfemi_contact_point_of(t, row, g->w, b->step.h, x);
+                sfemi_sub3(x, row->place, x);
+                gap = sfemi_dot3(row->axes, x) - row->least;
+                if (-gap <= deepest) continue;
+                deepest = -gap;
+                worst = i;
+            }
+            if (worst < 0) break;
+            sfemi_contact_lift(t, t->row + worst, deepest);
+            sfemi_safeguard_move_rigidly(b);
+        }
+    }
+    sfemi_correct_evaluate(b, &t->q);
+    memset(g->w, 0, 3 * (size_t)b->model->mesh.nodes * sizeof *g->w);
+    sfemi_safeguard_restore_momentum(b, 0);
+done:
+    return status;
+}
+
+/* w' times what takes `excess`, J, of its energy, or all. */
+static void sfemi_contact_brake(sfemi_touch *t, sfem_real excess)
+{
+    const sfem_body *b = t->body;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    sfem_real kinetic = 0, scale;
+    size_t i;
+    for (i = 0; i < n; ++i)
+        kinetic += b->scheme.r / 2 * b->model->node_mass[i / 3] * b->safeguard.w[i] * b->safeguard.w[i];
+    scale = excess <= 0 ? 1 : kinetic > excess ? sqrt(1 - excess / kinetic) : 0;
+    for (i = 0; i < n; ++i) b->safeguard.w[i] *= scale;
+}
+
+/* Contact makes no energy, whatever its iteration ends with, and leaves no body deep inside of an obstacle that was not.
+ * `allowed`: J, of earlier steps. What is above is taken from w'; where it is much, or the body deep inside, as where it
+ * was flattened, it moves rigidly, or at last stays. */
+static sfem_status sfemi_contact_bound(sfem_contact *c, sfemi_touch *t, sfem_real allowed, sfem_error *err)
+{
+    sfem_body *b = t->body;
+    sfemi_safeguard *g = &b->safeguard;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    sfem_status status = SFEM_OK;
+    sfem_real excess, deep = 0.1 * t->edge;
+    if (b->schur.count || b->pin_count) return SFEM_OK; /* the safeguard has all of their energy */
+    excess = sfemi_contact_gain(c, t) - allowed;
+    if (sfemi_contact_sunk(t) > deep || !(excess <= 0.1 * b->state.head->scale)) {
+        SFEMI_TRY(sfemi_contact_move_rigidly(c, t, err));
+        excess = sfemi_contact_gain(c, t) - allowed;
+        if (sfemi_contact_sunk(t) > deep) {
+            memcpy(g->u, b->state.u, n * sizeof *g->u);
+            g->psi = sfemi_safeguard_forces(b, g->u, g->f);
+            excess = sfemi_contact_gain(c, t) - allowed;
+        }
+    }
     if (excess > 0) sfemi_safeguard_slow_down(b, excess, 1);
+    if (excess > 0 && (excess = sfemi_contact_gain(c, t) - allowed) > 0) sfemi_contact_brake(t, excess);
+    if (excess > 0 && (excess = sfemi_contact_gain(c, t) - allowed) > 1e-12 * b->state.head->scale) {
+        memcpy(g->u, b->state.u, n * sizeof *g->u); /* it would rise */
+        g->psi = sfemi_safeguard_forces(b, g->u, g->f);
+        sfemi_contact_brake(t, sfemi_contact_gain(c, t) - allowed);
+    }
+    /* the centres' energy, which is not in the budget, may have gone to rotations, which are */
+    b->state.head->budget = fmax(b->state.head->budget,
+                                 sfemi_safeguard_measure(b, g->u, g->w, g->f, g->psi, b->step.h).ec);
+done:
+    return status;
 }
 
 static sfem_status sfemi_contact_fall_back(sfem_contact *c, sfemi_island island, sfem_error *err)
@@ -34482,12 +34732,16 @@ static sfem_status sfemi_contact_fall_back(sfem_contact *c, sfemi_island island,
     SFEMI_TRY(sfemi_contact_separate(c, island, err));
     for (i = island.first; i < island.first + island.count; ++i) {
         sfemi_touch *t = c->touch + i;
+        sfemi_state_head *head = t->body->state.head;
         const sfem_real surplus = sfemi_contact_surplus(c, t, 0, 1); /* not to be had */
+        const sfem_real allowed = fmax(0.0, head->budget - head->last), budget = head->budget, last = head->last;
         sfemi_safeguard_keep_momentum(t->body);
         t->body->state.head->budget -= surplus;
         t->body->state.head->last -= surplus;
         sfemi_safeguard_close_fallback(t->body, &t->q);
-        sfemi_contact_stay(t);
+        if (!sfemi_finite(head->budget)) head->budget = budget;
+        head->last = last;
+        SFEMI_TRY(sfemi_contact_bound(c, t, allowed, err));
     }
 done:
     for (i = island.first; i < island.first + island.count; ++i)
@@ -34585,6 +34839,17 @@ static int sfemi_contact_find_impact(sfem_contact *c, sfemi_touch *t)
     return 1;
 }
 
+/* J, of a row's obstacle and push-out: of what has moved. */
+static sfem_real sfemi_contact_booked(const sfem_contact *c, const sfemi_touch *t, const sfemi_row *row, const sfem_real *w1)
+{
+    sfem_real out = -sfemi_dot3(row->axes, row->speed);
+    int k;
+    if (t->fallback) return sfemi_contact_given(c, t, row);
+    for (k = 0; k < row->parts; ++k) out += row->weight[k] * sfemi_dot3(row->axes, w1 + 3 * (size_t)row->node[k]);
+    out = row->pushed ? fmin(fmax(out, 0.0), sfemi_contact_push_speed(c, row, t->body->step.h)) : 0;
+    return sfemi_dot3(row->impulse, row->speed) + out * sfemi_dot3(row->axes, row->impulse);
+}
+
 /* The rows of a step that is accepted: their work, forces, places; those without an impulse go. */
 static void sfemi_contact_settle_rows(sfem_contact *c, sfemi_touch *t)
 {
@@ -34602,11 +34867,9 @@ static void sfemi_contact_settle_rows(sfem_contact *c, sfemi_touch *t)
             }
         for (k = 0; k < 3; ++k) row->force[k] = row->impulse[k] / span;
         if (sfemi_dot3(row->impulse, row->impulse) == 0) continue;
-        c->info.moved += sfemi_dot3(row->impulse, row->speed);
-        if (row->pushed) {
-            c->info.moved += sfemi_dot3(row->impulse, row->axes) * sfemi_contact_push_speed(c, row, b->step.h);
-            ++c->info.pushed;
-        }
+        if (row->parts == 3 && sfemi_contact_face_is_broken(t, row->node)) continue;
+        c->info.moved += sfemi_contact_booked(c, t, row, w1);
+        c->info.pushed += row->pushed;
         sfemi_contact_point_of(t, row, w1, b->step.h, row->position);
         sfemi_sub3(row->position, row->place, x);
         row->gap = sfemi_dot3(row->axes, x);
@@ -35123,6 +35386,8 @@ static sfem_status sfemi_obstacle_copy(const sfem_contact *c, sfemi_obstacle *o,
         SFEMI_NEW(sfem_real, o->heights, al, count);
         memcpy(o->heights, d->heights, count * sizeof *o->heights);
         o->safe = sfemi_obstacle_flattest(d);
+        o->top = d->heights[0];
+        for (i = 1; (size_t)i < count; ++i) o->top = fmax(o->top, d->heights[i]);
     }
     if (d->kind == SFEM_OBSTACLE_SURFACE) {
         SFEMI_TRY(sfemi_shell_create(d->surface, al, &o->shell, err));

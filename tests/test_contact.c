@@ -1215,6 +1215,87 @@ static void filters_say_who_touches_whom(void **unused)
     drop(&s);
 }
 
+/* Bodies of one model of which other regions take part: each has columns of its own nodes. */
+static void bodies_of_one_model_may_touch_by_other_regions(void **unused)
+{
+    static const uint32_t regions[3] = {1u << 3, 1u << 1, ~0u};
+    const sfem_real half_turn[9] = {1, 0, 0, 0, -1, 0, 0, 0, -1}, to[3] = {0, 0, 0.22};
+    sfem_body_def def = falling();
+    sfem_mesh mesh = block(2, 0.2);
+    sfem_error err;
+    scene s;
+    sfem_int i;
+    int k;
+    (void)unused;
+    mesh.region = (sfem_int *)calloc((size_t)mesh.tets, sizeof *mesh.region);
+    for (i = 0; i < mesh.tets; ++i) {
+        double z = 0;
+        for (k = 0; k < 4; ++k) z += mesh.x[3 * mesh.tet[4 * i + k] + 2] / 4;
+        mesh.region[i] = z > 0.1 ? 3 : 1;
+    }
+    shift(&mesh, 0, 0, 0.01);
+    s = scene_of(mesh, SFEM_COROTATIONAL, 1e6, 0.3);
+    for (k = 0; k < 3; ++k) {
+        assert_ok(sfem_body_create(s.model, &def, &s.body[k], &err), err);
+        assert_ok(sfem_contact_add_body(s.contact, s.body[k], NULL, regions[k], NULL, &err), err);
+        ++s.bodies;
+    }
+    assert_ok(sfem_body_place(s.body[0], half_turn, to, &err), err); /* on its upper half */
+    s.floor = add_plane(&s, 0, 1, 0, 0.5, 0);
+    for (k = 0; k < 30; ++k) step(&s, 1.0 / 60);
+    for (k = 0; k < 3; ++k) assert_near(lowest(&s, k), 0, 0, 1e-3);
+    assert_near(sfem_contact_points(s.contact, &i)[0].force[2], sfem_contact_points(s.contact, &i)[i - 1].force[2], 0.9, 1);
+    assert_int_equal(i, 27);
+    free(s.mesh.region);
+    s.mesh.region = NULL;
+    drop(&s);
+}
+
+static double far_ball(void *user, const sfem_real x[3], sfem_real gradient[3])
+{
+    const double length = sqrt(x[0] * x[0] + x[1] * x[1] + x[2] * x[2]);
+    int c;
+    ++*(int *)user;
+    for (c = 0; c < 3; ++c) gradient[c] = x[c] / length;
+    return length - 1;
+}
+
+/* What is far costs a look each, not one for each node; contacts end where a body is put elsewhere. */
+static void what_is_far_is_not_touched(void **unused)
+{
+    static const sfem_real heights[4] = {0, 0.1, 0.1, 0};
+    const sfem_real one[9] = {1, 0, 0, 0, 1, 0, 0, 0, 1}, up[3] = {1, 0, 5};
+    sfem_body_def def = falling();
+    sfem_obstacle_def o = sfem_default_obstacle_def();
+    sfem_error err;
+    int calls = 0, k;
+    scene s = on_floor(block(3, 0.2), 1e5, &def);
+    (void)unused;
+    o.kind = SFEM_OBSTACLE_DISTANCE;
+    o.distance = far_ball;
+    o.user = &calls;
+    o.position[0] = 4;
+    assert_ok(sfem_contact_add_obstacle(s.contact, &o, NULL, &err), err);
+    o = sfem_default_obstacle_def();
+    o.kind = SFEM_OBSTACLE_HEIGHTS; /* below the block in its second place, and beside it in its first */
+    o.heights = heights;
+    o.cells[0] = o.cells[1] = 2;
+    o.size[0] = o.size[1] = 0.5;
+    o.position[0] = 0.85;
+    o.position[1] = -0.15;
+    o.position[2] = 4.85;
+    assert_ok(sfem_contact_add_obstacle(s.contact, &o, NULL, &err), err);
+    for (k = 0; k < 20; ++k) step(&s, 1.0 / 60);
+    assert_true(calls > 0 && calls < 20 * 20); /* 56 nodes are on the surface */
+    assert_int_equal(sfem_contact_get_info(s.contact).contacts, 16);
+    assert_ok(sfem_body_place(s.body[0], one, up, &err), err);
+    step(&s, 1.0 / 60);
+    assert_int_equal(sfem_contact_get_info(s.contact).contacts, 0);
+    for (k = 0; k < 30; ++k) step(&s, 1.0 / 60);
+    assert_true(sfem_contact_get_info(s.contact).contacts > 0 && lowest(&s, 0) > 4.8);
+    drop(&s);
+}
+
 /* Penetration is compliance times force: of a block on four nodes of a spring each. */
 static void compliance_gives_way_in_proportion(void **unused)
 {
@@ -1385,6 +1466,37 @@ static void a_body_with_slivers_is_dropped_and_thrown(void **unused)
             deepest = fmax(deepest, sfem_contact_get_info(s.contact).penetration);
         }
         assert_true(deepest < (speed[i] == 0 ? 2e-3 : 0.1));
+        drop(&s);
+    }
+}
+
+/* A body that falls more than its own length in a step, and turns over in it, makes no energy, comes down and stays. */
+static void tiny_bodies_make_no_energy(void **unused)
+{
+    static const double size[] = {0.01, 0.001};
+    size_t i;
+    (void)unused;
+    for (i = 0; i < TEST_COUNT(size); ++i) {
+        sfem_body_def def = falling();
+        double start, bottom = 1e300;
+        sfem_mesh mesh;
+        sfem_error err;
+        sfem_int j;
+        scene s;
+        int k;
+        assert_ok(body_scattered(150, 0.01, 3, &mesh, &err), err);
+        for (j = 0; j < 3 * mesh.nodes; ++j) mesh.x[j] *= size[i] * (j % 3 == 0 ? 1 : 0.4);
+        rotate(&mesh, -0.3);
+        for (j = 0; j < mesh.nodes; ++j) bottom = fmin(bottom, mesh.x[3 * j + 2]);
+        shift(&mesh, 0, 0, 0.3 * size[i] - bottom);
+        s = on_floor(mesh, 1e6, &def);
+        start = sfem_body_energy(s.body[0]).total;
+        for (k = 0; k < 12; ++k) {
+            step(&s, 1.0 / 60);
+            assert_true(sfem_body_energy(s.body[0]).total - start <=
+                        sfem_contact_get_info(s.contact).moved + 1e-9 * s.mass * GRAVITY * size[i]);
+        }
+        assert_near(lowest(&s, 0), 0, 0, 0.02 * size[i]);
         drop(&s);
     }
 }
@@ -1797,6 +1909,46 @@ static void pieces_touch_obstacles(void **unused)
  * hostile input
  * -------------------------------------------------------------------------------------------- */
 
+/* A bar breaks into single nodes, which fall into the corner of a floor and a box: what is left of faces, whose nodes are
+ * of several pieces, holds them nowhere. */
+static void debris_in_a_corner_makes_no_energy(void **unused)
+{
+    const sfem_int cells[3] = {6, 2, 2};
+    const sfem_real size[3] = {0.6, 0.2, 0.2};
+    sfem_damage_def damage = sfem_default_damage_def();
+    sfem_body_def def = falling();
+    sfem_obstacle_def box = sfem_default_obstacle_def();
+    double start = 0;
+    sfem_mesh mesh;
+    sfem_error err;
+    scene s;
+    int k;
+    (void)unused;
+    assert_ok(sfem_mesh_block(cells, size, SFEM_CELL_5_TETS, NULL, &mesh, &err), err);
+    rotate(&mesh, -0.4);
+    shift(&mesh, 0, 0, 0.3);
+    damage.toughness = 10;
+    def.damage = &damage;
+    def.stiffness_damping = 1e-4;
+    s = on_floor(mesh, 1e6, &def);
+    box.kind = SFEM_OBSTACLE_BOX;
+    box.size[0] = 0.02;
+    box.size[1] = 1;
+    box.size[2] = 0.1;
+    box.position[0] = 0.1;
+    box.position[2] = 0.05;
+    assert_ok(sfem_contact_add_obstacle(s.contact, &box, NULL, &err), err);
+    throw_body(&s, 0, 0, 0, -10);
+    start = sfem_body_energy(s.body[0]).total;
+    for (k = 0; k < 150; ++k) {
+        step(&s, 1.0 / 240);
+        assert_true(sfem_body_energy(s.body[0]).total <= start * (1 + 1e-9) + sfem_contact_get_info(s.contact).moved);
+        assert_true(sfem_contact_get_info(s.contact).penetration < 2e-3);
+    }
+    assert_true(sfem_body_fracture(s.body[0]).pieces > 20);
+    drop(&s);
+}
+
 static void bad_definitions_are_refused(void **unused)
 {
     sfem_contact_def def = sfem_default_contact_def();
@@ -1822,6 +1974,20 @@ static void bad_definitions_are_refused(void **unused)
     assert_status(sfem_contact_create(&def, &contact, &err), SFEM_BAD_ARGUMENT);
 
     s = scene_of(block(1, 1), SFEM_COROTATIONAL, 1e5, 0.3);
+    {
+        sfem_surface surface_in = surface_of_a_ball();
+        sfem_int i;
+        for (i = 0; i < surface_in.triangles; ++i) {
+            const sfem_int corner = surface_in.tri[3 * i];
+            surface_in.tri[3 * i] = surface_in.tri[3 * i + 1];
+            surface_in.tri[3 * i + 1] = corner;
+        }
+        o = shape_of(SFEM_OBSTACLE_SURFACE, &surface_in);
+        assert_status(sfem_contact_add_obstacle(s.contact, &o, &id, &err), SFEM_BAD_MESH);
+        assert_names(err, "inside out");
+        free_surface(&surface_in);
+        o = sfem_default_obstacle_def();
+    }
     o.contact.friction = -0.1;
     assert_status(sfem_contact_add_obstacle(s.contact, &o, &id, &err), SFEM_BAD_ARGUMENT);
     assert_names(err, "friction");
@@ -2033,17 +2199,21 @@ int main(void)
         cmocka_unit_test(surfaces_are_as_far_as_spheres),
         cmocka_unit_test(moving_plates_carry_a_ball_and_their_work_is_counted),
         cmocka_unit_test(filters_say_who_touches_whom),
+        cmocka_unit_test(bodies_of_one_model_may_touch_by_other_regions),
+        cmocka_unit_test(what_is_far_is_not_touched),
         cmocka_unit_test(compliance_gives_way_in_proportion),
         cmocka_unit_test(overlaps_are_pushed_out_slowly),
         cmocka_unit_test(held_and_linear_bodies_touch_too),
         cmocka_unit_test(smooth_tets_touch_too),
         cmocka_unit_test(a_body_with_slivers_is_dropped_and_thrown),
+        cmocka_unit_test(tiny_bodies_make_no_energy),
         cmocka_unit_test(columns_keep_their_budgets_and_change_nothing),
         cmocka_unit_test(saved_states_go_on_with_the_same_bits),
         cmocka_unit_test(own_contact_equals_the_one_that_is_built_in),
         cmocka_unit_test(own_impulses_are_in_the_budget_and_in_rejected_steps),
         cmocka_unit_test(own_contact_is_refused_where_it_cannot_be),
         cmocka_unit_test(pieces_touch_obstacles),
+        cmocka_unit_test(debris_in_a_corner_makes_no_energy),
         cmocka_unit_test(bad_definitions_are_refused),
         cmocka_unit_test(a_step_that_fails_leaves_all_as_they_were),
         cmocka_unit_test(leaping_and_broken_obstacles_do_no_harm),
