@@ -129,12 +129,23 @@ static double from_triangle(const double p[3], const double *a, const double *b,
     return best;
 }
 
+/* Triangles whose boxes are farther away than the nearest so far are passed over. */
 static double from_surface(const double p[3], const sfem_surface *s, const sfem_real *x)
 {
     double best = HUGE_VAL;
     sfem_int t;
-    for (t = 0; t < s->triangles; ++t)
-        best = fmin(best, from_triangle(p, x + 3 * s->tri[3 * t], x + 3 * s->tri[3 * t + 1], x + 3 * s->tri[3 * t + 2]));
+    for (t = 0; t < s->triangles; ++t) {
+        const sfem_real *a = x + 3 * s->tri[3 * t], *b = x + 3 * s->tri[3 * t + 1], *c = x + 3 * s->tri[3 * t + 2];
+        double far2 = 0;
+        int k;
+        for (k = 0; k < 3; ++k) {
+            const double low = (a[k] < b[k] ? a[k] < c[k] ? a[k] : c[k] : b[k] < c[k] ? b[k] : c[k]) - p[k];
+            const double high = p[k] - (a[k] > b[k] ? a[k] > c[k] ? a[k] : c[k] : b[k] > c[k] ? b[k] : c[k]);
+            const double d = low > 0 ? low : high > 0 ? high : 0;
+            far2 += d * d;
+        }
+        if (far2 < best * best) best = fmin(best, from_triangle(p, a, b, c));
+    }
     return best;
 }
 
@@ -174,6 +185,7 @@ static int compare_pairs(const void *a, const void *b) { return memcmp(a, b, 2 *
  * either direction; dihedral angles, from the planes' normals through each edge, within the bounds. */
 static void assert_sound(const sfem_mesh *m, double least, double most)
 {
+    const double most_cosine = cos(least * TEST_PI / 180), least_cosine = cos(most * TEST_PI / 180);
     sfem_mesh_report r;
     sfem_surface s;
     sfem_error err;
@@ -200,7 +212,7 @@ static void assert_sound(const sfem_mesh *m, double least, double most)
         for (i = 0; i < 4; ++i)
             for (j = i + 1; j < 4; ++j) { /* edge i j; the other two nodes, seen along it */
                 const sfem_real *a = m->x + 3 * m->tet[4 * t + i], *b = m->x + 3 * m->tet[4 * t + j];
-                double e[3], d[3], out[2][3], angle, length2;
+                double e[3], d[3], out[2][3], cosine, length2;
                 int found = 0, c;
                 sfemi_sub3(b, a, e);
                 length2 = sfemi_dot3(e, e);
@@ -210,9 +222,9 @@ static void assert_sound(const sfem_mesh *m, double least, double most)
                     for (c = 0; c < 3; ++c) out[found][c] = d[c] - sfemi_dot3(d, e) / length2 * e[c];
                     ++found;
                 }
-                sfemi_cross(out[0], out[1], d);
-                angle = atan2(sqrt(sfemi_dot3(d, d)), sfemi_dot3(out[0], out[1])) * 180 / TEST_PI;
-                if (!(angle >= least && angle <= most)) fail_msg("tet %d has an angle of %g degrees", (int)t, angle);
+                cosine = sfemi_dot3(out[0], out[1]) / sqrt(sfemi_dot3(out[0], out[0]) * sfemi_dot3(out[1], out[1]));
+                if (!(cosine <= most_cosine && cosine >= least_cosine))
+                    fail_msg("tet %d has an angle of %g degrees", (int)t, acos(cosine) * 180 / TEST_PI);
             }
 }
 
@@ -497,17 +509,17 @@ static void flipped_and_missing_triangles_change_little(void **state)
     if (TEST_SANITIZED) skip();
     for (body = 0; body < 2; ++body)
         for (mode = 0; mode < 2; ++mode) {
-            sfem_surface s = tube(body, 160, 40, 0.22); /* apart from itself */
-            const double size = 0.1;
+            sfem_surface s = tube(body, 120, 30, 0.22); /* apart from itself */
+            const double size = mode ? 0.16 : 0.12;
             sfem_mesher_info whole, info;
             sfem_mesh m = mesh_of(&s, (sfem_mesher_mode)mode, size, 0, &whole);
             sfem_mesh_free(&m);
-            for (how = 0; how < 3; ++how) {
+            for (how = mode ? 2 : 0; how < 3; ++how) { /* a cage of an open surface takes long */
                 sfem_surface d = damaged(&s, how);
                 m = mesh_of(&d, (sfem_mesher_mode)mode, size, 0, &info);
                 assert_near(info.volume, whole.volume, 0.01, 0);
-                assert_true(how == 0 || info.open_edges > 500);
-                assert_true(how == 1 || info.flipped > 150);
+                assert_true(how == 0 || info.open_edges > 280);
+                assert_true(how == 1 || info.flipped > 85 * (how ? 1 : 3));
                 if (mode == SFEM_FITTED) assert_true(hausdorff(&s, &m) < size);
                 sfem_mesh_free(&m);
                 drop_surface(&d);
@@ -524,7 +536,7 @@ static void doubled_triangles_give_the_same_bits(void **state)
     for (mode = 0; mode < 2; ++mode) {
         sfem_surface s = tube(1, 80, 16, 0.3), twice = new_surface(2 * s.nodes, 2 * s.triangles);
         sfem_mesher_info info;
-        sfem_mesh m = mesh_of(&s, (sfem_mesher_mode)mode, 0.12, 0, &info);
+        sfem_mesh m = mesh_of(&s, (sfem_mesher_mode)mode, 0.2, 0, &info);
         const uint64_t once = hash_mesh(&m);
         sfem_int t;
         sfem_mesh_free(&m);
@@ -534,7 +546,7 @@ static void doubled_triangles_give_the_same_bits(void **state)
             memcpy(twice.tri, s.tri, 3 * (size_t)s.triangles * sizeof *s.tri);
             for (t = 0; t < 3 * s.triangles; ++t)
                 twice.tri[3 * s.triangles + t] = s.nodes + s.tri[how && t % 3 < 2 ? t + 1 - 2 * (t % 3) : t];
-            m = mesh_of(&twice, (sfem_mesher_mode)mode, 0.12, 0, &info);
+            m = mesh_of(&twice, (sfem_mesher_mode)mode, 0.2, 0, &info);
             assert_true(hash_mesh(&m) == once);
             assert_int_equal(info.doubled, s.triangles);
             sfem_mesh_free(&m);
@@ -752,7 +764,8 @@ static void graded_meshes_are_coarse_inside_and_the_same_at_the_surface(void **s
     (void)state;
     for (body = 0; body < 3; ++body)
         for (mode = 0; mode < 2; ++mode) {
-            const double size = body == 0 ? 1 / (TEST_SANITIZED ? 20.0 : 37.3) : body == 1 ? 0.1 : 0.07;
+            const int deep = mode == SFEM_FITTED && !TEST_SANITIZED; /* the cube's edges get eight times as long */
+            const double size = body == 0 ? 1 / (deep ? 31.3 : 20.0) : body == 1 ? 0.1 : 0.07;
             sfem_surface s = body == 0 ? boxes(1, cube) : tube(0, 100, 30, body == 1 ? 0.6 : 0.3), own[2];
             sfem_mesher_info info[2];
             sfem_int tets = 0, t;
@@ -777,13 +790,13 @@ static void graded_meshes_are_coarse_inside_and_the_same_at_the_surface(void **s
                     tets = m.tets;
                     assert_true(largest < 4); /* moved points */
                 } else {
-                    if (body == 0 && !TEST_SANITIZED) assert_true(largest > 100);
+                    if (body == 0) assert_true(largest > (deep ? 100 : 50));
                     if (body == 1) assert_true(largest > 7.9);
-                    assert_true(m.tets <= (body == 0 ? TEST_SANITIZED ? 0.8 : 0.5 : body == 1 ? 0.9 : 1) * tets);
+                    assert_true(m.tets <= (body == 0 ? deep ? 0.5 : 0.8 : body == 1 ? 0.9 : 1) * tets);
                 }
                 sfem_mesh_free(&m);
             }
-            assert_near(info[1].volume, info[0].volume, mode == SFEM_FITTED ? 1e-10 : 1e-3, 0); /* sums of 600 000 */
+            assert_near(info[1].volume, info[0].volume, mode == SFEM_FITTED ? 1e-10 : 1e-3, 0); /* sums of 400 000 */
             assert_int_equal(own[1].triangles, own[0].triangles);
             sfem_surface_free(own);
             sfem_surface_free(own + 1);
@@ -800,7 +813,7 @@ static void graded_meshes_have_the_number_of_tets_too(void **state)
     for (body = 0; body < 3; ++body) {
         sfem_surface s = body < 2 ? tube(body, 120, 24, 0.3 + 0.3 * body) : boxes(1, corner);
         for (mode = 0; mode < 2; ++mode)
-            for (k = 0; k < (TEST_SANITIZED ? 1 : 3); ++k) {
+            for (k = 0; k < (TEST_SANITIZED ? 1 : body == 2 ? 3 : 2); ++k) {
                 sfem_mesher_def def = sfem_default_mesher_def();
                 sfem_error err;
                 sfem_mesh m;
@@ -938,26 +951,28 @@ static void memory_is_what_the_header_states(void **state)
 
 static void any_number_of_threads_gives_the_same_bits(void **state)
 {
-    sfem_surface s = tube(1, 100, 20, 0.3);
+    sfem_surface knot = tube(1, 100, 20, 0.3), torus = tube(0, 60, 20, 0.6);
     int mode, threads;
     (void)state;
     for (mode = 0; mode < 4; ++mode) {
         uint64_t one = 0;
-        for (threads = 1; threads <= 8; threads += threads == 1 ? 1 : 3) {
+        for (threads = 1; threads <= 8; threads += threads == 1 ? 2 : 5) {
             sfem_mesher_def def = sfem_default_mesher_def();
             sfem_error err;
             sfem_mesh m;
             def.mode = (sfem_mesher_mode)(mode % 2);
             def.grading = mode / 2 * 3;
-            def.tets = mode > 1 ? 20000 : 4000;
+            def.tets = 3000;
+            if (mode > 1) def.size = 0.15; /* eight cells across */
             def.exec = thread_exec(threads);
-            assert_ok(sfem_mesh_from_surface(&def, &s, &m, NULL, &err), err);
+            assert_ok(sfem_mesh_from_surface(&def, mode > 1 ? &torus : &knot, &m, NULL, &err), err);
             if (threads == 1) one = hash_mesh(&m);
             assert_true(hash_mesh(&m) == one);
             sfem_mesh_free(&m);
         }
     }
-    drop_surface(&s);
+    drop_surface(&knot);
+    drop_surface(&torus);
 }
 
 /* ---- files ---- */
