@@ -384,9 +384,13 @@ static void measure_far(const sfem_surface *s, const tree *all, const sfem_mesh 
         if (f->d <= far[0] && f->d <= h) continue;
         normal(s->x + 3 * s->tri[3 * t], s->x + 3 * s->tri[3 * t + 1], s->x + 3 * s->tri[3 * t + 2], n);
         if (!((length = sqrt(dot(n, n))) > 0)) continue;
-        for (c = 0; c < 3; ++c)
-            side[0][c] = f->p[c] + 1e-4 * h * n[c] / length, side[1][c] = f->p[c] - 1e-4 * h * n[c] / length;
-        if (k >= 4 * s->triangles && within(all, side[0]) == within(all, side[1])) continue; /* hidden */
+        for (c = 0; c < 3; ++c) { /* a little within the triangle */
+            const sfem_int *v = s->tri + 3 * t;
+            const double middle = (s->x[3 * v[0] + c] + s->x[3 * v[1] + c] + s->x[3 * v[2] + c]) / 3;
+            const double at = 0.99 * f->p[c] + 0.01 * middle;
+            side[0][c] = at + 1e-4 * h * n[c] / length, side[1][c] = at - 1e-4 * h * n[c] / length;
+        }
+        if (within(all, side[0]) == within(all, side[1])) continue; /* hidden */
         far[0] = fmax(far[0], f->d);
         if (f->d <= h) far[1] = fmax(far[1], f->d); /* thick or not */
         ++count;
