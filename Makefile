@@ -5,6 +5,7 @@
 #   CC=clang        another compiler                    CFLAGS='-O3 -march=native'   other flags
 #   OPENMP=0|1      without or with OpenMP; by default with it where the compiler links it
 #   MESHES=DIR      meshes from elsewhere, passed to tests and benches as SFEM_MESHES; none by default
+#   SURFACES=DIR    surfaces for bench-mesher
 #   TESTS=test_mesh only these test programs            FILTER='*patch*'  only these tests in them
 #   JOBS=N          compilers and test programs at a time, all processors by default
 #   QUICK=1         a small `bench`
@@ -18,6 +19,7 @@
 CFLAGS   ?= -O2 -g
 CXX      ?= c++
 MESHES   ?=
+SURFACES ?=
 BUILD    ?= build
 FILTER   ?=
 JOBS     ?= $(shell nproc 2>/dev/null || echo 1)
@@ -113,6 +115,9 @@ bench-needs: $(BUILD)/bench/needs ## bodies without and with one thing: what a s
 
 bench-embed: $(BUILD)/bench/embed ## render surfaces that follow bodies: ns a point beside memory bandwidth
 	$(BUILD)/bench/embed
+
+bench-mesher: $(BUILD)/bench/mesher ## tets from surfaces: time, angles, volume, distance, memory; files of SURFACES=DIR or SFEM_SURFACES
+	$(BUILD)/bench/mesher $(if $(SURFACES),--surfaces '$(SURFACES)')
 
 bench-sleep: $(BUILD)/bench/sleep ## a step of a sleeping body, and what watching for sleep costs
 	$(ENVIRONMENT) $(BUILD)/bench/sleep

@@ -756,16 +756,17 @@ typedef struct sfem_mesher_def {
     uint32_t cookie; /* set by sfem_default_mesher_def; a definition made otherwise is refused */
     sfem_mesher_mode mode; /* default fitted */
     sfem_real size;        /* the longer edges of the lattice, m; 0: as many tets as stated next */
-    sfem_int tets;         /* wanted, where size is 0; default 5000. Met within 15 % (tested at 2000 and 9000). The number
-                            * of small bodies, and of plates of one layer, may jump past it: the nearest is taken */
+    sfem_int tets;         /* wanted, where size is 0; default 5000. Met within 15 % (tested at 2000 and 9000). The
+                            * number of small bodies, and of plates of one layer, may jump past it: the nearest is
+                            * taken */
     int grading;           /* 0: all tets are of one size, the default; 1 to 10: below the surface the edges are doubled
-                            * as often at most, where the body is thick enough: by layers, of one cell at least and twice
-                            * as thick each. The surface is that of size alone. Tets inside have dihedral angles of 45
-                            * to 120 degrees, those at the surface of a fitted mesh the bounds above */
+                            * as often at most, where the body is thick enough: by layers, of one cell at least and
+                            * twice as thick each. The surface is that of size alone. Tets inside have dihedral angles
+                            * of 45 to 120 degrees, those at the surface of a fitted mesh the bounds above */
     sfem_exec exec;        /* threads; the mesh has the same bits for any number of them */
-    void (*progress)(sfem_real part, void *user); /* or NULL: called by the calling thread with the part of the work that
-                                                   * is done, an estimate: from 0, never less than before, 1 at the
-                                                   * end */
+    void (*progress)(sfem_real part, void *user); /* or NULL: called by the calling thread with the part of the work
+                                                   * that is done, an estimate: from 0, never less than before, 1 at
+                                                   * the end */
     void *progress_user;
     sfem_allocator allocator;
 } sfem_mesher_def;
@@ -10583,7 +10584,8 @@ static sfem_status sfemi_groups_make(sfemi_groups *g, const sfem_int *key, size_
     g->order = other;
     other = swap;
     for (i = 0; i < n; ++i)
-        if (i == 0 || memcmp(key + width * (size_t)g->order[i], key + width * (size_t)g->order[i - 1], width * sizeof *key))
+        if (i == 0 ||
+            memcmp(key + width * (size_t)g->order[i], key + width * (size_t)g->order[i - 1], width * sizeof *key))
             g->start[g->count++] = i;
     g->start[g->count] = n;
 done:
@@ -11315,8 +11317,8 @@ static void sfemi_lattice_put(sfemi_lattice *l, const sfem_int code[4])
     ++l->tets;
 }
 
-/* Of the cut edges of a tet the longer ones are split first, of those of one length the ones from points of odd indices:
- * tets on both sides of a face agree on its diagonal [the parity rule of the paper]. */
+/* Of the cut edges of a tet the longer ones are split first, of those of one length the ones from points of odd
+ * indices: tets on both sides of a face agree on its diagonal [the parity rule of the paper]. */
 static int sfemi_lattice_rank(const sfemi_lattice *l, const sfem_int edge[3])
 {
     sfem_int i[3];
@@ -11331,8 +11333,9 @@ static int sfemi_lattice_cut_edges(const sfemi_lattice *l, const sfem_int p[4], 
     int n = 0, i, j, k;
     for (i = 0; i < 4; ++i)
         for (j = 0; j < 4; ++j) {
-            const sfem_int one[3] = {p[i], p[j], l->sign[p[i]] > 0 && l->sign[p[j]] < 0 ? -1 - sfemi_lattice_find(l, p[i], p[j]) : 0};
-            if (!one[2]) continue;
+            const int cut = l->sign[p[i]] > 0 && l->sign[p[j]] < 0;
+            const sfem_int one[3] = {p[i], p[j], cut ? -1 - sfemi_lattice_find(l, p[i], p[j]) : 0};
+            if (!cut) continue;
             for (k = n++; k > 0 && sfemi_lattice_rank(l, edge[k - 1]) > sfemi_lattice_rank(l, one); --k)
                 memcpy(edge[k], edge[k - 1], sizeof one);
             memcpy(edge[k], one, sizeof one);
@@ -11462,8 +11465,8 @@ static void sfemi_lattice_each(sfemi_lattice *l, void (*one)(sfemi_lattice *l, c
             }
 }
 
-/* The level of a cell, before blocks: 0 where its points and the centres of the next cells are inside, so that its centre
- * stays where it is, and no triangle meets its tets; else -1. */
+/* The level of a cell, before blocks: 0 where its points and the centres of the next cells are inside, so that its
+ * centre stays where it is, and no triangle meets its tets; else -1. */
 static signed char sfemi_lattice_filled(const sfemi_lattice *l, sfem_int cell)
 {
     const sfem_int p = 2 * cell + 1;
@@ -11731,7 +11734,8 @@ static sfem_real sfemi_cage_share(const sfemi_solid *s, sfem_real p[4][3], size_
         for (c = 0; c < 3; ++c) a[c] = p[corner][c] + 1e-6 * (q[0][c] + 2 * q[1][c] + 3 * q[2][c] - 6 * p[corner][c]);
         if (s->closed) w = sfemi_bvh_winding(&s->tree, a);
         for (k = 0; k < SFEMI_CAGE_CHORDS; ++k) {
-            const sfem_real at = (sfem_real)((SFEMI_CAGE_CHORDS * (4 * from + (size_t)corner) + (size_t)k) % 1000000) + 0.5;
+            const size_t number = SFEMI_CAGE_CHORDS * (4 * from + (size_t)corner) + (size_t)k;
+            const sfem_real at = (sfem_real)(number % 1000000) + 0.5;
             sfem_real u = fmod(at * 0.7548776662466927, 1.0), v = fmod(at * 0.5698402909980532, 1.0);
             if (u + v > 1) u = 1 - u, v = 1 - v;
             for (c = 0; c < 3; ++c) x[c] = (1 - u - v) * q[0][c] + u * q[1][c] + v * q[2][c];
@@ -12053,9 +12057,9 @@ static sfem_status sfemi_lattice_mesh(sfemi_lattice *l, sfem_mesher_info *info)
         SFEMI_TRY(sfemi_manifold_corners(&p));
         SFEMI_TRY(sfemi_manifold_edges(&p));
         if (!p.bad) break;
-        if (l->cage) {
+        if (l->cage) { /* snap has no other use here */
             for (i = 0; i < p.edge.count; ++i)
-                for (end = 0; end < 2 && p.edge.start[i + 1] - p.edge.start[i] != 2; ++end) /* snap has no other use here */
+                for (end = 0; end < 2 && p.edge.start[i + 1] - p.edge.start[i] != 2; ++end)
                     l->snap[l->at[l->mesh.tet[sfemi_manifold_corner(&p, p.edge.order[p.edge.start[i]], end)]]] = 0;
             sfemi_lattice_each(l, sfemi_cage_fill);
             for (i = 0; i < l->points; ++i) l->snap[i] = -1;

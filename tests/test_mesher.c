@@ -129,12 +129,23 @@ static double from_triangle(const double p[3], const double *a, const double *b,
     return best;
 }
 
+/* Triangles whose boxes are farther away than the nearest so far are passed over. */
 static double from_surface(const double p[3], const sfem_surface *s, const sfem_real *x)
 {
     double best = HUGE_VAL;
     sfem_int t;
-    for (t = 0; t < s->triangles; ++t)
-        best = fmin(best, from_triangle(p, x + 3 * s->tri[3 * t], x + 3 * s->tri[3 * t + 1], x + 3 * s->tri[3 * t + 2]));
+    for (t = 0; t < s->triangles; ++t) {
+        const sfem_real *a = x + 3 * s->tri[3 * t], *b = x + 3 * s->tri[3 * t + 1], *c = x + 3 * s->tri[3 * t + 2];
+        double far2 = 0;
+        int k;
+        for (k = 0; k < 3; ++k) {
+            const double low = (a[k] < b[k] ? a[k] < c[k] ? a[k] : c[k] : b[k] < c[k] ? b[k] : c[k]) - p[k];
+            const double high = p[k] - (a[k] > b[k] ? a[k] > c[k] ? a[k] : c[k] : b[k] > c[k] ? b[k] : c[k]);
+            const double d = low > 0 ? low : high > 0 ? high : 0;
+            far2 += d * d;
+        }
+        if (far2 < best * best) best = fmin(best, from_triangle(p, a, b, c));
+    }
     return best;
 }
 
@@ -174,6 +185,7 @@ static int compare_pairs(const void *a, const void *b) { return memcmp(a, b, 2 *
  * either direction; dihedral angles, from the planes' normals through each edge, within the bounds. */
 static void assert_sound(const sfem_mesh *m, double least, double most)
 {
+    const double most_cosine = cos(least * TEST_PI / 180), least_cosine = cos(most * TEST_PI / 180);
     sfem_mesh_report r;
     sfem_surface s;
     sfem_error err;
@@ -200,7 +212,7 @@ static void assert_sound(const sfem_mesh *m, double least, double most)
         for (i = 0; i < 4; ++i)
             for (j = i + 1; j < 4; ++j) { /* edge i j; the other two nodes, seen along it */
                 const sfem_real *a = m->x + 3 * m->tet[4 * t + i], *b = m->x + 3 * m->tet[4 * t + j];
-                double e[3], d[3], out[2][3], angle, length2;
+                double e[3], d[3], out[2][3], cosine, length2;
                 int found = 0, c;
                 sfemi_sub3(b, a, e);
                 length2 = sfemi_dot3(e, e);
@@ -210,9 +222,9 @@ static void assert_sound(const sfem_mesh *m, double least, double most)
                     for (c = 0; c < 3; ++c) out[found][c] = d[c] - sfemi_dot3(d, e) / length2 * e[c];
                     ++found;
                 }
-                sfemi_cross(out[0], out[1], d);
-                angle = atan2(sqrt(sfemi_dot3(d, d)), sfemi_dot3(out[0], out[1])) * 180 / TEST_PI;
-                if (!(angle >= least && angle <= most)) fail_msg("tet %d has an angle of %g degrees", (int)t, angle);
+                cosine = sfemi_dot3(out[0], out[1]) / sqrt(sfemi_dot3(out[0], out[0]) * sfemi_dot3(out[1], out[1]));
+                if (!(cosine <= most_cosine && cosine >= least_cosine))
+                    fail_msg("tet %d has an angle of %g degrees", (int)t, acos(cosine) * 180 / TEST_PI);
             }
 }
 
@@ -292,7 +304,7 @@ static void the_tree_gives_the_winding_number_of_all_triangles(void **state)
     repair.s = &s, repair.info = &info, repair.err = &err;
     assert_ok(sfemi_repair_collect(&repair), err);
     assert_ok(sfemi_mesher_tree(&solid, &repair), err);
-    for (k = 0; k < 1000; ++k) {
+    for (k = 0; k < 400; ++k) {
         double p[3], w = 0;
         random_fill(&random, p, 3, -1.6, 1.6);
         p[2] *= 0.4;
@@ -402,7 +414,7 @@ static void the_number_of_tets_is_what_was_asked_for(void **state)
     for (body = 0; body < 3; ++body) {
         sfem_surface s = body < 2 ? tube(body, 120, 24, 0.3) : boxes(2, corner);
         for (mode = 0; mode < 2; ++mode)
-            for (k = 0; k < 2; ++k) {
+            for (k = 0; k < (mode && body < 2 ? 1 : 2); ++k) {
                 sfem_mesher_info info;
                 sfem_mesh m = mesh_of(&s, (sfem_mesher_mode)mode, 0, wanted[k], &info);
                 assert_near(m.tets, wanted[k], 0.15, 0);
@@ -496,18 +508,18 @@ static void flipped_and_missing_triangles_change_little(void **state)
     (void)state;
     if (TEST_SANITIZED) skip();
     for (body = 0; body < 2; ++body)
-        for (mode = 0; mode < 2; ++mode) {
-            sfem_surface s = tube(body, 160, 40, 0.22); /* apart from itself */
-            const double size = 0.1;
+        for (mode = 0; mode < 2 - body; ++mode) {
+            sfem_surface s = tube(body, 120, 30, 0.22); /* apart from itself */
+            const double size = mode ? 0.16 : 0.12;
             sfem_mesher_info whole, info;
             sfem_mesh m = mesh_of(&s, (sfem_mesher_mode)mode, size, 0, &whole);
             sfem_mesh_free(&m);
-            for (how = 0; how < 3; ++how) {
+            for (how = mode ? 2 : 0; how < 3; ++how) { /* a cage of an open surface takes long */
                 sfem_surface d = damaged(&s, how);
                 m = mesh_of(&d, (sfem_mesher_mode)mode, size, 0, &info);
                 assert_near(info.volume, whole.volume, 0.01, 0);
-                assert_true(how == 0 || info.open_edges > 500);
-                assert_true(how == 1 || info.flipped > 150);
+                assert_true(how == 0 || info.open_edges > 280);
+                assert_true(how == 1 || info.flipped > 85 * (how ? 1 : 3));
                 if (mode == SFEM_FITTED) assert_true(hausdorff(&s, &m) < size);
                 sfem_mesh_free(&m);
                 drop_surface(&d);
@@ -524,7 +536,7 @@ static void doubled_triangles_give_the_same_bits(void **state)
     for (mode = 0; mode < 2; ++mode) {
         sfem_surface s = tube(1, 80, 16, 0.3), twice = new_surface(2 * s.nodes, 2 * s.triangles);
         sfem_mesher_info info;
-        sfem_mesh m = mesh_of(&s, (sfem_mesher_mode)mode, 0.12, 0, &info);
+        sfem_mesh m = mesh_of(&s, (sfem_mesher_mode)mode, 0.2, 0, &info);
         const uint64_t once = hash_mesh(&m);
         sfem_int t;
         sfem_mesh_free(&m);
@@ -534,7 +546,7 @@ static void doubled_triangles_give_the_same_bits(void **state)
             memcpy(twice.tri, s.tri, 3 * (size_t)s.triangles * sizeof *s.tri);
             for (t = 0; t < 3 * s.triangles; ++t)
                 twice.tri[3 * s.triangles + t] = s.nodes + s.tri[how && t % 3 < 2 ? t + 1 - 2 * (t % 3) : t];
-            m = mesh_of(&twice, (sfem_mesher_mode)mode, 0.12, 0, &info);
+            m = mesh_of(&twice, (sfem_mesher_mode)mode, 0.2, 0, &info);
             assert_true(hash_mesh(&m) == once);
             assert_int_equal(info.doubled, s.triangles);
             sfem_mesh_free(&m);
@@ -595,14 +607,14 @@ static void a_cage_contains_the_surface_and_its_thin_parts(void **state)
     int body, k;
     (void)state;
     for (body = 0; body < 3; ++body) {
-        sfem_surface s = body == 1 ? tube(1, 100, 16, 0.2) : boxes(body ? 1 : 2, corner);
+        sfem_surface s = body == 1 ? tube(1, 80, 10, 0.2) : boxes(body ? 1 : 2, corner);
         const double volume = body == 1 ? enclosed(&s, s.x) : 0.02 + 0.98 * 0.0002;
         sfem_mesher_info info;
         test_random random = {5};
         sfem_mesh m;
         for (k = 0; k < 12 && body == 2; ++k) s.x[3 * (k / 3) + 12 + k % 3] += ends[k % 3] - (k % 3 == 2 ? 0.02 : 0);
         m = mesh_of(&s, SFEM_CAGE, body == 1 ? 0.15 : 0.1, 0, &info); /* the plate is a fifth of a cell thick */
-        for (k = 0; k < 1500; ++k) {
+        for (k = 0; k < 500; ++k) {
             const sfem_int *v = s.tri + 3 * random_below(&random, s.triangles);
             const double a = random_uniform(&random, 0, 1), b = random_uniform(&random, 0, 1 - a);
             double p[3];
@@ -729,7 +741,7 @@ static void functions_are_meshed(void **state)
             double box[2][3], r = 1;
             for (c = 0; c < 3; ++c) box[0][c] = k == 1 ? 0 : -ends[k], box[1][c] = ends[k];
             def.mode = (sfem_mesher_mode)mode;
-            def.tets = k == 1 ? 40000 : 12000;
+            def.tets = k == 1 ? 16000 : 8000;
             assert_ok(sfem_mesh_from_sdf(&def, k == 0 ? ball : k == 1 ? gyroid : animal, &r, (const double(*)[3])box, &m, &info,
                                          &err), err);
             assert_near(m.tets, def.tets, 0.15, 0);
@@ -752,7 +764,7 @@ static void graded_meshes_are_coarse_inside_and_the_same_at_the_surface(void **s
     (void)state;
     for (body = 0; body < 3; ++body)
         for (mode = 0; mode < 2; ++mode) {
-            const double size = body == 0 ? 1 / (TEST_SANITIZED ? 20.0 : 37.3) : body == 1 ? 0.1 : 0.07;
+            const double size = body == 0 ? 1 / 20.0 : body == 1 ? 0.1 : 0.07;
             sfem_surface s = body == 0 ? boxes(1, cube) : tube(0, 100, 30, body == 1 ? 0.6 : 0.3), own[2];
             sfem_mesher_info info[2];
             sfem_int tets = 0, t;
@@ -777,18 +789,44 @@ static void graded_meshes_are_coarse_inside_and_the_same_at_the_surface(void **s
                     tets = m.tets;
                     assert_true(largest < 4); /* moved points */
                 } else {
-                    if (body == 0 && !TEST_SANITIZED) assert_true(largest > 100);
+                    if (body == 0) assert_true(largest > 50);
                     if (body == 1) assert_true(largest > 7.9);
-                    assert_true(m.tets <= (body == 0 ? TEST_SANITIZED ? 0.8 : 0.5 : body == 1 ? 0.9 : 1) * tets);
+                    assert_true(m.tets <= (body == 0 ? 0.8 : body == 1 ? 0.9 : 1) * tets);
                 }
                 sfem_mesh_free(&m);
             }
-            assert_near(info[1].volume, info[0].volume, mode == SFEM_FITTED ? 1e-10 : 1e-3, 0); /* sums of 600 000 */
+            assert_near(info[1].volume, info[0].volume, mode == SFEM_FITTED ? 1e-10 : 1e-3, 0); /* sums of 100 000 */
             assert_int_equal(own[1].triangles, own[0].triangles);
             sfem_surface_free(own);
             sfem_surface_free(own + 1);
             drop_surface(&s);
         }
+}
+
+/* Two hundred thousand tets where lattice ones would be 369 000: edges of 8 times the length in the middle. */
+static void a_thick_body_gets_edges_of_eight_times_the_length(void **state)
+{
+    static const double cube[1][2][3] = {{{0, 0, 0}, {1, 1, 1}}};
+    sfem_surface s = boxes(1, cube);
+    sfem_mesher_def def = sfem_default_mesher_def();
+    double largest = 0;
+    sfem_error err;
+    sfem_mesh m;
+    sfem_int t;
+    (void)state;
+    if (TEST_SANITIZED) skip();
+    def.size = 1 / 31.3;
+    def.grading = 4;
+    assert_ok(sfem_mesh_from_surface(&def, &s, &m, NULL, &err), err);
+    assert_sound(&m, 10.7, 164.8);
+    for (t = 0; t < m.tets; ++t) {
+        const sfem_int *v = m.tet + 4 * t;
+        largest = fmax(largest, sfemi_volume6(m.x + 3 * v[0], m.x + 3 * v[1], m.x + 3 * v[2], m.x + 3 * v[3]));
+    }
+    assert_true(2 * largest > 100 * def.size * def.size * def.size);
+    assert_in_range(m.tets, 1, 200000);
+    sfem_mesh_free(&m);
+    drop_surface(&s);
 }
 
 static void graded_meshes_have_the_number_of_tets_too(void **state)
@@ -800,7 +838,7 @@ static void graded_meshes_have_the_number_of_tets_too(void **state)
     for (body = 0; body < 3; ++body) {
         sfem_surface s = body < 2 ? tube(body, 120, 24, 0.3 + 0.3 * body) : boxes(1, corner);
         for (mode = 0; mode < 2; ++mode)
-            for (k = 0; k < (TEST_SANITIZED ? 1 : 3); ++k) {
+            for (k = 0; k < (TEST_SANITIZED ? 1 : body == 2 ? 3 : 2); ++k) {
                 sfem_mesher_def def = sfem_default_mesher_def();
                 sfem_error err;
                 sfem_mesh m;
@@ -914,7 +952,7 @@ static void every_failing_allocation_leaves_nothing_behind(void **state)
 
 static void memory_is_what_the_header_states(void **state)
 {
-    sfem_surface s = tube(0, 300, 60, 0.4);
+    sfem_surface s = tube(0, 150, 40, 0.4);
     int k;
     (void)state;
     for (k = 0; k < 4; ++k) {
@@ -926,7 +964,7 @@ static void memory_is_what_the_header_states(void **state)
         def.allocator = test_allocator(&memory);
         def.mode = (sfem_mesher_mode)(k % 2);
         def.grading = k / 2 * 3;
-        def.tets = 20000;
+        def.tets = 8000;
         assert_ok(sfem_mesh_from_surface(&def, &s, &m, &info, &err), err);
         if (memory.peak > 400 * (size_t)s.triangles + 16 * (size_t)info.lattice + 400 * (size_t)m.tets)
             fail_msg("%lu bytes", (unsigned long)memory.peak);
@@ -938,26 +976,28 @@ static void memory_is_what_the_header_states(void **state)
 
 static void any_number_of_threads_gives_the_same_bits(void **state)
 {
-    sfem_surface s = tube(1, 100, 20, 0.3);
+    sfem_surface knot = tube(1, 100, 20, 0.3), torus = tube(0, 60, 20, 0.6);
     int mode, threads;
     (void)state;
     for (mode = 0; mode < 4; ++mode) {
         uint64_t one = 0;
-        for (threads = 1; threads <= 8; threads += threads == 1 ? 1 : 3) {
+        for (threads = 1; threads <= 8; threads += threads == 1 ? 2 : 5) {
             sfem_mesher_def def = sfem_default_mesher_def();
             sfem_error err;
             sfem_mesh m;
             def.mode = (sfem_mesher_mode)(mode % 2);
             def.grading = mode / 2 * 3;
-            def.tets = mode > 1 ? 20000 : 4000;
+            def.tets = 3000;
+            if (mode > 1) def.size = 0.15; /* eight cells across */
             def.exec = thread_exec(threads);
-            assert_ok(sfem_mesh_from_surface(&def, &s, &m, NULL, &err), err);
+            assert_ok(sfem_mesh_from_surface(&def, mode > 1 ? &torus : &knot, &m, NULL, &err), err);
             if (threads == 1) one = hash_mesh(&m);
             assert_true(hash_mesh(&m) == one);
             sfem_mesh_free(&m);
         }
     }
-    drop_surface(&s);
+    drop_surface(&knot);
+    drop_surface(&torus);
 }
 
 /* ---- files ---- */
@@ -1149,6 +1189,7 @@ int main(void)
         cmocka_unit_test(a_cage_has_the_mass_of_what_it_holds),
         cmocka_unit_test(functions_are_meshed),
         cmocka_unit_test(graded_meshes_are_coarse_inside_and_the_same_at_the_surface),
+        cmocka_unit_test(a_thick_body_gets_edges_of_eight_times_the_length),
         cmocka_unit_test(graded_meshes_have_the_number_of_tets_too),
         cmocka_unit_test(hostile_surfaces_get_sentences),
         cmocka_unit_test(hostile_functions_get_sentences),
