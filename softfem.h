@@ -34592,7 +34592,8 @@ static sfem_real sfemi_contact_sunk(const sfemi_touch *t)
     return deepest;
 }
 
-/* An impulse at a row by which its free piece, moved rigidly, ends `gap` higher; contact by rotations of parts of 1. */
+/* An impulse at a row that lifts its free piece, a rigid body, by `gap` within the step, to first order in its rotation,
+ * which is at most 1 rad from there on. */
 static void sfemi_contact_lift(sfemi_touch *t, sfemi_row *row, sfem_real gap)
 {
     sfem_body *b = t->body;
