@@ -764,7 +764,7 @@ static void graded_meshes_are_coarse_inside_and_the_same_at_the_surface(void **s
     (void)state;
     for (body = 0; body < 3; ++body)
         for (mode = 0; mode < 2; ++mode) {
-            const double size = body == 0 ? 1 / 20.0 : body == 1 ? 0.1 : 0.07;
+            const double size = body == 0 ? 1 / 20.0 : 0.1;
             sfem_surface s = body == 0 ? boxes(1, cube) : tube(0, 100, 30, body == 1 ? 0.6 : 0.3), own[2];
             sfem_mesher_info info[2];
             sfem_int tets = 0, t;
