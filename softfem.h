@@ -1363,7 +1363,7 @@ typedef struct sfem_damage_def {
     const sfem_int *line;        /* [line_count][2] nodes of edges with a factor of their own */
     sfem_int line_count;
     sfem_real line_factor;       /* 0 means 1 */
-    int line_only;               /* no other edges break, except by a blade and where one leaves fibres */
+    int line_only;               /* no other edges break, except by a blade: fibres that it leaves stay */
     int closure;           /* a broken edge carries compression again: p >= 1/2, condensed only. An edge
                             * at an obtuse angle of its tet may open under pressure */
     sfem_real upright[2];  /* edge lengths do not tell a tet from its mirror image. So below J =
@@ -12177,7 +12177,7 @@ static sfem_status sfemi_cage_shares_set(const sfemi_solid *s, const sfem_mesher
         if (m->region[t] >= 0) continue;
         *sum += w.share[t];
         carry += w.share[t] * SFEM_CAGE_LEVELS;
-        m->region[t] = (sfem_int)fmin(floor(carry), SFEM_CAGE_LEVELS);
+        m->region[t] = (sfem_int)fmin(floor(carry), (sfem_real)SFEM_CAGE_LEVELS);
         carry -= m->region[t];
     }
 done:
@@ -17778,7 +17778,7 @@ static sfem_status sfemi_smooth_sweep(const sfemi_smooth_maker *m, sfem_int *ord
         for (e = 0; e < mesh->tets; ++e) {
             sfem_real x = -low[c];
             for (a = 0; a < 4; ++a) x += mesh->x[3 * (size_t)mesh->tet[4 * (size_t)e + (size_t)a] + (size_t)c] / 4;
-            key[3 * e + c] = (sfem_int)fmin(x / size, SFEMI_SWEEP - 1);
+            key[3 * e + c] = (sfem_int)fmin(x / size, SFEMI_SWEEP - 1.0);
         }
     }
     for (c = 0; c < 3; ++c)
@@ -22054,7 +22054,7 @@ static void sfemi_damage_gather_patch(sfemi_damage *d, sfem_int k, sfemi_damage_
             sfemi_sub3(x + 3 * (size_t)j, p->x0, away);
             q = (1 - sqrt(sfemi_dot3(away, away)) / p->r) / (1 - SFEMI_DAMAGE_CORE);
             if (!(q > 0) || d->near_by[j] > 0) continue;
-            d->near_by[j] = fmin(q, 1);
+            d->near_by[j] = fmin(q, 1.0);
             d->patch[d->patch_nodes++] = j;
         }
     for (i = 0; i < d->patch_nodes; ++i)
@@ -22887,7 +22887,7 @@ static void sfemi_damage_sweep_dangling(sfemi_damage *d, const sfemi_damage_step
             if (sfemi_damage_zetas(d, e, zeta) == 63) continue;
             for (k = 0; k < 6; ++k) {
                 const sfem_int edge = g->tet_edge[6 * e + k];
-                if (g->never[edge] == SFEMI_NEVER || !(d->zeta[edge] > 0)) continue;
+                if (g->never[edge] || !(d->zeta[edge] > 0)) continue;
                 if (!sfemi_damage_is_dangling(d, edge)) continue;
                 did |= sfemi_damage_try(d, edge, 0, SFEM_BROKE_DANGLING, step, change);
             }

@@ -220,12 +220,11 @@ SC_STATIC sfem_body_def sc_body_def(const sc_world *w)
     return def;
 }
 
-/* What breaks by itself where the scene has a slider for its toughness, else by blades alone. */
+/* What breaks by itself where the scene has a slider for its toughness; else by blades alone, and the fibres they leave. */
 SC_STATIC sfem_damage_def sc_damage_def(const sc_world *w)
 {
     sfem_damage_def damage = sfem_default_damage_def();
-    damage.toughness = sc_value(w, "toughness", damage.toughness);
-    damage.line_only = sc_slider_of(w->scene, "toughness") < 0;
+    damage.toughness = sc_value(w, "toughness", 1e9);
     return damage;
 }
 
