@@ -87,7 +87,11 @@ static void make_mesh(run *r)
     sfem_int i;
     int c;
     if (path) {
+#ifdef SFEM_NO_MESHIO
+        ex_fail("this build reads no files");
+#else
         must(sfem_mesh_read(path, NULL, &r->mesh, &err), &err);
+#endif
     } else {
         sfem_mesher_def def = sfem_default_mesher_def();
         def.tets = ex_given(&r->o, "--quick") ? 1600 : (sfem_int)ex_integer(&r->o, "--tets");
