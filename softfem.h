@@ -1966,9 +1966,11 @@ SFEM_DEF void sfem_body_fragment_positions(sfem_body *body, const sfem_fragments
  *   Swept    a node that passes an obstacle within a step is found on its way. Balls of 0.15 m hold before plates of
  *            2 mm where they move by 0.5 m a step (30 m/s at h = 1/60); of twice that and more some pass, or stay astride
  *            of the plate. Smaller steps are the cure
- *   Energy   a rejected step gives a body no more than it had and what obstacles that move or push it out have done. Free
- *            bodies to which its solution would give more, as where one turns over within a step, move as rigid bodies in
- *            that step, which stop at obstacles without friction
+ *   Energy   a rejected step gives a free body no more than it had and what obstacles that move or push it out have done:
+ *            one to which its solution would give more, as where it turns over within a step, moves as a rigid body in
+ *            that step, which stops at obstacles without friction. Bodies with pins or handles have no such bound. While a
+ *            contact force changes fast, as in a body that is crushed, sfem_body_velocities and sfem_body_energy, half a
+ *            step on, are too high
  *   Faces    so are obstacles that meet a face of the body between its nodes: small ones, corners, edges, peaks
  *   Threads  as the bodies have them; results have the same bits for any number */
 typedef struct sfem_contact sfem_contact;
@@ -21977,7 +21979,7 @@ static void sfemi_damage_multiply(const sfemi_damage *d, const sfem_real *z, sfe
 /* A step that ended, as the criterion sees it. Breaking changes the integrator's invariant by
  *     a0 dPsi(u0) + a1 dPsi(u1) - ac (u1-u0).d(f(u1)-f(u0)),   d: after less before:
  * (1/2, 1/2, 1/4) for (p,1,1) with any constant A, and for Newmark(p,1/2); (1/2, 1/2, (1/2-p)/2) is
- * what the guard's energy budget sees; (0, 1, 0) judges Psi at the end alone. In a body
+ * what the energy budget of the safeguard sees; (0, 1, 0) judges Psi at the end alone. In a body
  * that rotates the decision is by the last term in each tet's own rotating frame. */
 typedef struct sfemi_damage_step {
     const sfem_real *u0, *u1; /* [nodes][3] start and end; may be the same */
@@ -22389,7 +22391,7 @@ static void sfemi_damage_candidate_task(void *data, sfem_int index)
     }
 }
 
-/* Edges that may break: stretched, whole, and in a tet that is not quiet. */
+/* Edges that may break: stretched, whole, and in a tet near its limit. */
 static void sfemi_damage_near_task(void *data, sfem_int index)
 {
     sfemi_damage *d = ((const sfemi_damage_round_job *)data)->d;
@@ -23704,7 +23706,7 @@ typedef struct sfemi_state_head {
 enum { SFEMI_AWAKE, SFEMI_CALM, SFEMI_ASLEEP };
 
 /* RESTARTED: as not started, but the loads have their history. */
-enum { SFEMI_LEDGER, SFEMI_REBASE, SFEMI_NEW_LEDGER };
+enum { SFEMI_BUDGET, SFEMI_REBASE, SFEMI_NEW_BUDGET };
 enum { SFEMI_NOT_STARTED, SFEMI_LOAD_FIXED, SFEMI_RESTARTED, SFEMI_RUNNING };
 
 /* What has come and gone of the energy of a body that may break. */
@@ -24051,7 +24053,7 @@ static int sfemi_state_check_head(const void *shape, const char *at, size_t coun
     memcpy(&h, at, sizeof h);
     return sfemi_all_finite(&h.time, 3) && h.h >= 0 && h.p >= 0 && sfemi_all_finite(h.gravity, 3) &&
            h.started >= SFEMI_NOT_STARTED && h.started <= SFEMI_RUNNING && (h.started < SFEMI_RESTARTED || h.h > 0) &&
-           h.rebase >= SFEMI_LEDGER && h.rebase <= SFEMI_NEW_LEDGER && h.sleep >= SFEMI_AWAKE &&
+           h.rebase >= SFEMI_BUDGET && h.rebase <= SFEMI_NEW_BUDGET && h.sleep >= SFEMI_AWAKE &&
            h.sleep <= (sleeps ? SFEMI_ASLEEP : SFEMI_AWAKE) && sfemi_finite(h.lag) && sfemi_finite(h.gamma) &&
            h.estimate >= 0 && h.rate >= 0 && h.rate <= 1 && sfemi_finite(h.pair_h) && sfemi_finite(h.calm) &&
            h.calm >= 0 && h.step_forces >= 0 && h.step_forces <= 1 && sfemi_state_check_counts(&h);
@@ -27501,7 +27503,7 @@ static void sfemi_resume_stop(sfem_body *b, int pins)
     if (b->scheme.rotates) memcpy(s->f_past, s->f, n * sizeof *v);
     memset(s->a, 0, n * sizeof *s->a);
     s->head->started = SFEMI_RESTARTED;
-    if (b->scheme.rotates && s->head->rebase == SFEMI_LEDGER) s->head->rebase = SFEMI_REBASE;
+    if (b->scheme.rotates && s->head->rebase == SFEMI_BUDGET) s->head->rebase = SFEMI_REBASE;
 }
 
 /* v projected in the norm of M to what is held in the step under way, which has the velocity that takes it to
@@ -27903,7 +27905,7 @@ static void sfemi_safeguard_inspect(sfem_body *b)
         head->psi = sfemi_safeguard_forces(b, b->state.u, b->state.f);
         sfemi_rotated_frames(b, b->state.frame);
         head->current = 1;
-        head->rebase = SFEMI_NEW_LEDGER;
+        head->rebase = SFEMI_NEW_BUDGET;
     }
     sfemi_rotated_locate(b, b->state.u);
 }
@@ -27914,13 +27916,13 @@ static void sfemi_safeguard_refresh(sfem_body *b, sfem_real h)
     sfemi_state_head *head = b->state.head;
     sfemi_safeguard_energies e;
     sfemi_safeguard_inspect(b);
-    if (head->rebase == SFEMI_LEDGER) return;
+    if (head->rebase == SFEMI_BUDGET) return;
     e = sfemi_safeguard_measure(b, b->state.u, b->state.w, b->state.f, head->psi, h);
     head->last = e.ec;
     head->budget = e.ec + e.rounding;
-    if (head->rebase == SFEMI_NEW_LEDGER) head->scale = 0;
+    if (head->rebase == SFEMI_NEW_BUDGET) head->scale = 0;
     head->scale = fmax(head->scale, fmax(e.kinetic, e.floor));
-    head->rebase = SFEMI_LEDGER;
+    head->rebase = SFEMI_BUDGET;
 }
 
 /* The frame that the nodes of a handle share. */
@@ -28101,7 +28103,7 @@ typedef struct sfemi_equation {
     int touches;             /* >>contact: impulses are among the loads, and change */
 } sfemi_equation;
 
-/* The equation of the step under way, and the forces of the past in it: guard.known. */
+/* The equation of the step under way, and the forces of the past in it: safeguard.known. */
 static void sfemi_correct_open(sfem_body *b, sfemi_equation *q)
 {
     const sfemi_state *s = &b->state;
@@ -28272,7 +28274,7 @@ static void sfemi_safeguard_try(sfem_body *b)
     if (b->base) sfemi_safeguard_correct_momentum(b);
 }
 
-/* Where the trial's acceleration leads: guard.w, u, f, psi. */
+/* Where the trial's acceleration leads: safeguard.w, u, f, psi. */
 static void sfemi_safeguard_advance(sfem_body *b)
 {
     sfemi_safeguard *g = &b->safeguard;
@@ -28436,7 +28438,7 @@ static sfem_real sfemi_safeguard_in_motion(const sfem_body *b, const sfemi_safeg
     return fmax(fmax(b->state.head->scale, e->floor), fmax(e->kinetic, change));
 }
 
-/* Is the energy of the step in guard in order? *budget: what it may be, the work done in the step included. */
+/* Is the energy of the step in b->safeguard in order? *budget: what it may be, the work done in the step included. */
 static int sfemi_safeguard_accepts(sfem_body *b, sfemi_safeguard_energies *e, sfem_real *budget)
 {
     const sfemi_safeguard *g = &b->safeguard;
@@ -28720,7 +28722,7 @@ static void sfemi_correct_precondition(sfem_body *b, const sfemi_equation *q, co
     ++b->state.head->solves;
 }
 
-/* guard.dir: the step to be taken from w'. Returns h dir.r, twice the energy that it is expected to gain. */
+/* safeguard.dir: the step to be taken from w'. Returns h dir.r, twice the energy that it is expected to gain. */
 static sfem_real sfemi_correct_direction(sfem_body *b, const sfemi_equation *q, const sfem_factor *f)
 {
     sfemi_safeguard *g = &b->safeguard;
@@ -28788,7 +28790,7 @@ static void sfemi_correct_swap_trial(sfemi_safeguard *g)
     sfemi_correct_swap(&g->grad, &g->trial_grad);
 }
 
-/* guard.u, f, psi for guard.w. */
+/* safeguard.u, f, psi for safeguard.w. */
 static void sfemi_correct_evaluate(sfem_body *b, const sfemi_equation *q)
 {
     sfemi_safeguard *g = &b->safeguard;
@@ -28908,7 +28910,7 @@ static sfem_real sfemi_safeguard_excess(sfem_body *b)
     return ec - fmax(head->budget + 0.01 * head->scale, head->last) - sfemi_safeguard_fallback_work(b);
 }
 
-/* guard.pair: the pairs of earlier steps of this length, in the frames of the trial. The stiffness that the rotated
+/* safeguard.pair: the pairs of earlier steps of this length, in the frames of the trial. The stiffness that the rotated
  * factor has wrong rotates with the body: half of the corrections are saved on a bar that swings far. */
 static void sfemi_correct_recall(sfem_body *b, const sfemi_equation *q)
 {
@@ -28957,8 +28959,8 @@ static void sfemi_safeguard_do_not_rotate(sfem_body *b)
     for (i = 0; i < 9 * (size_t)b->model->mesh.nodes; ++i) b->safeguard.frame[i] = i % 9 % 4 ? 0 : 1;
 }
 
-/* Corrects guard.w until little is to be gained, `most` times at most; in a fallback until its energy is low
- * enough, too. guard.grad is r at the start and at the end. Returns the first decrement. */
+/* Corrects safeguard.w until little is to be gained, `most` times at most; in a fallback until its energy is low
+ * enough, too. safeguard.grad is r at the start and at the end. Returns the first decrement. */
 static sfem_real sfemi_correct_iterate(sfem_body *b, const sfemi_equation *q, const sfem_factor *f, int most,
                                        sfem_real tolerance)
 {
@@ -29034,7 +29036,7 @@ static sfem_real sfemi_correct_rounding(const sfem_body *b, const sfemi_equation
     return 1e-32 * sum;
 }
 
-/* From the trial in guard to the solution of the equation. A trial that is not finite is left to be rejected. */
+/* From the trial in b->safeguard to the solution of the equation. A trial that is not finite is left to be rejected. */
 static void sfemi_correct(sfem_body *b)
 {
     enum { MOST = 40, AFTER_REJECTION = 5, SKIPS = 20 };
@@ -29116,7 +29118,7 @@ static void sfemi_safeguard_restore_momentum(sfem_body *b, int moving)
     sfemi_rotated_locate(b, b->state.u);
 }
 
-/* guard.w for held axes and handles where they are to be. */
+/* safeguard.w for held axes and handles where they are to be. */
 static void sfemi_safeguard_constrain(sfem_body *b)
 {
     sfemi_safeguard *g = &b->safeguard;
@@ -29134,8 +29136,8 @@ static void sfemi_safeguard_constrain(sfem_body *b)
     sfemi_safeguard_apply_handles(b, &b->schur, s->frame, g->w);
 }
 
-/* guard.w by which free pieces move and rotate as their momenta have it, held ones not at all. They rotate about their
- * angular momentum L, at its rate along it: L.J^-1 L, and with it the energy, stay what they are. About the angular
+/* safeguard.w by which free pieces move and rotate as their momenta have it, held ones not at all. They rotate about
+ * their angular momentum L, at its rate along it: L.J^-1 L, and with it the energy, stay what they are. About the angular
  * velocity J^-1 L of a piece that tumbles, it would change in a step of finite length. */
 static void sfemi_safeguard_move_rigidly(sfem_body *b)
 {
@@ -29164,7 +29166,7 @@ static void sfemi_safeguard_move_rigidly(sfem_body *b)
     }
 }
 
-/* guard.w, u, f, psi, grad of the better of w and a rigid motion, the one whose potential is lower. */
+/* safeguard.w, u, f, psi, grad of the better of w and a rigid motion, the one whose potential is lower. */
 static void sfemi_safeguard_start_fallback(sfem_body *b, const sfemi_equation *q)
 {
     sfemi_safeguard *g = &b->safeguard;
@@ -29308,7 +29310,7 @@ static size_t sfemi_safeguard_bytes(const sfem_body *b)
     return bytes;
 }
 
-/* A factor of (r + shift) M + h^2 K(z) with the projected K(z) that is in guard.tangent. */
+/* A factor of (r + shift) M + h^2 K(z) with the projected K(z) that is in safeguard.tangent. */
 static sfem_status sfemi_safeguard_factor_tangent(sfem_body *b, sfem_real shift)
 {
     const sfem_model *model = b->model;
@@ -29447,7 +29449,7 @@ static void sfemi_safeguard_close_fallback(sfem_body *b, const sfemi_equation *q
     head->budget += sfemi_safeguard_fallback_work(b);
 }
 
-/* The step in place of a rejected one, to guard. */
+/* The step in place of a rejected one, to b->safeguard. */
 static sfem_status sfemi_safeguard_fall_back(sfem_body *b, sfem_error *err)
 {
     enum { MOST = SFEMI_FALLBACK_MOST, LONGEST = SFEMI_FALLBACK_LONGEST };
@@ -29863,7 +29865,7 @@ static void sfemi_sleep_begin(sfem_body *b)
     if (!b->scheme.rotates) return;
     memcpy(s->f_past, s->f, bytes);
     s->head->energy = sfemi_safeguard_measure(b, s->u, s->w, s->f, s->head->psi, s->head->h).ec;
-    s->head->rebase = SFEMI_NEW_LEDGER;
+    s->head->rebase = SFEMI_NEW_BUDGET;
 }
 
 /* After a step: is it the last one? */
@@ -30205,7 +30207,7 @@ static void sfemi_refactor_advance(sfem_body *b)
 }
 
 /* After breaks, once pieces have parted: a factor of what is left. While edges break, it would have to be made
- * again and again, and takes the margin that the guard of bodies that rotate lives on. */
+ * again and again, and takes the margin that the energy safeguard of bodies that rotate needs. */
 static void sfemi_refactor_follow(sfem_body *b)
 {
     enum { WAIT = 8 }; /* steps */
@@ -30965,7 +30967,7 @@ static void sfemi_body_held_changed(sfem_body *b)
     sfemi_body_find_held(b);
     if (!b->scheme.rotates) return;
     for (k = 0; k < b->rotated.pieces; ++k) changed |= (b->rotated.piece[k].sum[0][0] > 0) != b->rotated.piece[k].held;
-    if (changed && b->state.head->rebase == SFEMI_LEDGER) b->state.head->rebase = SFEMI_REBASE;
+    if (changed && b->state.head->rebase == SFEMI_BUDGET) b->state.head->rebase = SFEMI_REBASE;
 }
 
 /* Columns and dense blocks of the handles for the body's factor. */
@@ -31135,7 +31137,7 @@ static void sfemi_body_take_back(const sfem_body *b, sfemi_state_head *head)
     head->skipped = before->skipped;
     if (head->load_age > before->load_age) head->load_age = before->load_age;
     if (head->rebase < before->rebase) head->rebase = before->rebase;
-    if (head->current && !before->current) head->rebase = SFEMI_NEW_LEDGER;
+    if (head->current && !before->current) head->rebase = SFEMI_NEW_BUDGET;
 }
 
 /* Has a step under way put an acceleration in the state? A body that does not go on has none there. */
@@ -31468,7 +31470,7 @@ SFEM_DEF sfem_status sfem_body_set_gravity(sfem_body *b, const sfem_real g[3], s
     if (memcmp(b->state.head->gravity, g, 3 * sizeof *g) == 0) return SFEM_OK;
     sfemi_sleep_wake_up(b);
     memcpy(b->state.head->gravity, g, 3 * sizeof *g);
-    if (b->state.head->rebase == SFEMI_LEDGER) b->state.head->rebase = SFEMI_REBASE;
+    if (b->state.head->rebase == SFEMI_BUDGET) b->state.head->rebase = SFEMI_REBASE;
     return SFEM_OK;
 }
 
@@ -31875,7 +31877,7 @@ SFEM_DEF void sfem_body_release_handle(sfem_body *b, sfem_int handle)
     sfemi_sleep_wake_up(b);
     sfemi_body_held_changed(b);
     /* what the handle had put into motion, and would let steps make a share of, may be gone long since */
-    b->state.head->rebase = SFEMI_NEW_LEDGER;
+    b->state.head->rebase = SFEMI_NEW_BUDGET;
 }
 
 SFEM_DEF void sfem_body_handle_force(const sfem_body *b, sfem_int handle, sfem_real force[3])
@@ -34124,7 +34126,7 @@ static void sfemi_contact_pay(sfemi_touch *t, sfem_real scale, sfem_real *x)
     sfemi_rotated_add_motion(b, b->state.u, scale, 0, x);
 }
 
-/* The residual of the step in guard, and whether there is anything to correct. */
+/* The residual of the step in b->safeguard, and whether there is anything to correct. */
 static sfem_status sfemi_contact_open(sfem_contact *c, sfemi_touch *t, sfem_error *err)
 {
     sfem_body *b = t->body;
@@ -34216,7 +34218,7 @@ static int sfemi_contact_redirect(sfem_contact *c, sfemi_touch *t)
     return 1;
 }
 
-/* One correction of a body, along guard.dir. Sets done where no more is to be gained. */
+/* One correction of a body, along safeguard.dir. Sets done where no more is to be gained. */
 static void sfemi_contact_correct_body(sfem_contact *c, sfemi_touch *t)
 {
     sfem_body *b = t->body;
@@ -34572,7 +34574,7 @@ static sfem_real sfemi_contact_gain(const sfem_contact *c, const sfemi_touch *t)
     return b->scheme.r / 2 * kinetic + g->psi - s->head->psi - work;
 }
 
-/* m: how deep rows are in guard.u beyond what they may be. */
+/* m: how deep rows are in safeguard.u beyond what they may be. */
 static sfem_real sfemi_contact_sunk(const sfemi_touch *t)
 {
     const sfem_body *b = t->body;

@@ -1103,7 +1103,6 @@ static void calculix(void)
         return;
     }
     for (finite = 0; finite < 2; ++finite) {
-        const char *name = "build/scratch_ccx";
         bar b = make_bar(8, 3, 0.8, 0.3, material(finite ? SFEM_STVK : SFEM_LINEAR, 1e6, 0.3),
                          SFEM_MASS_LUMPED, 0.01);
         double *force = reals(3 * b.n), *u = reals(3 * b.n);
@@ -1113,8 +1112,7 @@ static void calculix(void)
         sfem_body *body;
         sfem_error err;
         sfem_int i;
-        const char *scratch = getenv("SFEM_SCRATCH");
-        char directory[300], path[400];
+        char directory[BENCH_SCRATCH], path[400];
         def.newton.tolerance = 1e-10;
         def.newton.load_steps = finite ? 10 : 1;
         for (i = 0; i < 3 * b.n; ++i) force[i] = uniform(&random, -10, 10) + (i % 3 == 2 ? -18 : 0);
@@ -1122,13 +1120,10 @@ static void calculix(void)
         body = hold(&b, def);
         bench_must(sfem_body_set_lasting_force(body, force, &err), &err);
         bench_must(sfem_body_solve_static(body, &err), &err);
-        if (!scratch || !*scratch) scratch = "/tmp";
-        ex_make_directory(scratch);
-        snprintf(directory, sizeof directory, "%s/softfem_ccx_XXXXXX", scratch);
-        if (mkdtemp(directory)) name = directory;
-        snprintf(path, sizeof path, "%s/bar", name);
+        if (!bench_scratch(directory)) ex_fail("no directory for CalculiX can be made");
+        snprintf(path, sizeof path, "%s/bar", directory);
         snprintf(command, sizeof command, "cd '%s' && OMP_NUM_THREADS=1 ccx bar >bar.log 2>&1",
-                 name);
+                 directory);
         if (!ccx_write(path, &b, force, 1e6, 0.3, finite) || system(command) ||
             !ccx_read(path, b.n, u))
             row(0, NAN, 0, "CalculiX gave no answer");
@@ -1137,8 +1132,7 @@ static void calculix(void)
                 "%s, %d tets, largest deflection %.2g of the length: difference",
                 finite ? "StVK (its NLGEOM)" : "linear", (int)b.mesh.tets,
                 -sfem_body_displacement(body)[3 * b.n - 1] / 0.8);
-        snprintf(command, sizeof command, "rm -rf '%s'", name);
-        if (name == directory && system(command)) printf("    (%s is left)\n", name);
+        bench_scratch_remove(directory);
         sfem_body_free(body);
         drop(&b);
         free(force);

@@ -37,7 +37,7 @@ typedef struct scene {
     sfem_int nodes, tets;
 } scene;
 
-static scene make_scene(const sfem_int cells[3], sfem_law law, double strain, int inverted)
+static scene make_scene_of(const sfem_int cells[3], sfem_block_cells kind, sfem_tet tet, sfem_law law, double strain, int inverted)
 {
     const sfem_real size[3] = {0.1 * cells[0], 0.1 * cells[1], 0.1 * cells[2]};
     sfem_model_def def = linear_model_def();
@@ -46,10 +46,11 @@ static scene make_scene(const sfem_int cells[3], sfem_law law, double strain, in
     sfem_error err;
     scene b;
     sfem_int i;
-    bench_must(sfem_mesh_block(cells, size, SFEM_CELL_5_TETS, NULL, &mesh, &err), &err);
+    bench_must(sfem_mesh_block(cells, size, kind, NULL, &mesh, &err), &err);
     def.mesh = &mesh;
     def.material.poisson = 0.45;
     def.material.law = law;
+    def.material.tet = tet;
     bench_must(sfem_model_create(&def, &b.model, &err), &err);
     b.nodes = mesh.nodes;
     b.tets = mesh.tets;
@@ -75,6 +76,11 @@ static scene make_scene(const sfem_int cells[3], sfem_law law, double strain, in
     }
     sfem_mesh_free(&mesh);
     return b;
+}
+
+static scene make_scene(const sfem_int cells[3], sfem_law law, double strain, int inverted)
+{
+    return make_scene_of(cells, SFEM_CELL_5_TETS, SFEM_TET_LINEAR, law, strain, inverted);
 }
 
 static void free_scene(scene *b)
@@ -149,6 +155,26 @@ static void forces_by_size(int quick)
             printf("  %-16s %9d %8.1f %8.1f %8.1f   %.1e\n", law_name[law], (int)b.tets, d, r, m,
                    force_error(&b));
             free_scene(&b);
+        }
+}
+
+static void forces_of_smooth_tets(int quick)
+{
+    static const sfem_law law[3] = {SFEM_LINEAR, SFEM_COROTATIONAL, SFEM_NEOHOOKEAN};
+    const sfem_int n = quick ? 6 : 14, cells[3] = {n, n, n};
+    int cell, k;
+    printf("\nforces, ns a tet        tets   linear   smooth   smooth/linear\n");
+    for (cell = 5; cell <= 6; ++cell)
+        for (k = 0; k < 3; ++k) {
+            double ns[2];
+            int tet, tets = 0;
+            for (tet = SFEM_TET_LINEAR; tet <= SFEM_TET_SMOOTH; ++tet) {
+                scene b = make_scene_of(cells, cell == 5 ? SFEM_CELL_5_TETS : SFEM_CELL_6_TETS, (sfem_tet)tet, law[k], 0.02, 0);
+                ns[tet] = time_forces(&b, SFEM_DOUBLE, NULL, NULL);
+                tets = (int)b.tets;
+                free_scene(&b);
+            }
+            printf("  %-16s %9d %8.1f %8.1f   %.2f\n", law_name[law[k]], tets, ns[0], ns[1], ns[1] / ns[0]);
         }
 }
 
@@ -229,6 +255,7 @@ int main(int argc, char **argv)
     printf("vector width: %d doubles (8 AVX-512, 4 AVX2, 1 portable); one thread\n%s\n",
            sfem_vector_width(), SFEM_BENCH_FLAGS);
     forces_by_size(quick);
+    forces_of_smooth_tets(quick);
     forces_by_strain(quick);
     tangents(quick);
     single();

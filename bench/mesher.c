@@ -22,6 +22,7 @@
 #endif
 #include <dirent.h>
 #include "../examples/support.h"
+#include "../tests/bodies.h"
 #include "bench.h"
 
 #define TAU 6.283185307179586
@@ -567,25 +568,6 @@ static sfem_surface boxes(int count, const double (*corner)[2][3])
     return s;
 }
 
-/* A trunk, a head and four limbs, blended. */
-static double limbs(const double x[3], void *user)
-{
-    static const double limb[6][7] = {{-0.6, 0, 0, 0.6, 0, 0, 0.3},          {0.8, 0, 0.35, 0.9, 0, 0.4, 0.25},
-                                      {0.5, 0.2, -0.2, 0.6, 0.3, -0.9, 0.1}, {0.5, -0.2, -0.2, 0.6, -0.3, -0.9, 0.1},
-                                      {-0.5, 0.2, -0.2, -0.6, 0.3, -0.9, 0.1}, {-0.5, -0.2, -0.2, -0.6, -0.3, -0.9, 0.1}};
-    double sum = 0;
-    int k, c;
-    (void)user;
-    for (k = 0; k < 6; ++k) {
-        double e[3], d[3], t;
-        minus(limb[k] + 3, limb[k], e), minus(x, limb[k], d);
-        t = fmin(1, fmax(0, dot(d, e) / dot(e, e)));
-        for (c = 0; c < 3; ++c) d[c] -= t * e[c];
-        sum += exp(-20 * (sqrt(dot(d, d)) - limb[k][6]));
-    }
-    return -log(sum) / 20;
-}
-
 static double gyroid(const double x[3], void *user)
 {
     (void)user;
@@ -624,7 +606,7 @@ static void own_rows(int wanted, int where)
         row(name[k], s + k, wanted, where);
         free(s[k].x), free(s[k].tri);
     }
-    function_row("body with limbs", limbs, -1.3, 1.3, wanted, where);
+    function_row("body with limbs", body_blended, -1.3, 1.3, wanted, where);
     function_row("gyroid", gyroid, 0, TAU, wanted, where);
 }
 

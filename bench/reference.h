@@ -15,7 +15,25 @@
 #include "bench.h"
 #include "real.h"
 
-enum { REFERENCE_SAMPLES = 30 };
+enum { REFERENCE_SAMPLES = 30, BENCH_SCRATCH = 300 };
+
+/* A new directory [BENCH_SCRATCH] in SFEM_SCRATCH, or /tmp, for what another program reads and writes. 0: none. */
+BENCH_STATIC int bench_scratch(char *directory)
+{
+    const char *in = getenv("SFEM_SCRATCH");
+    if (!in || !*in) in = "/tmp";
+    ex_make_directory(in);
+    snprintf(directory, BENCH_SCRATCH, "%s/softfem_XXXXXX", in);
+    return mkdtemp(directory) != NULL;
+}
+
+/* Removes it with all that is in it. */
+BENCH_STATIC void bench_scratch_remove(const char *directory)
+{
+    char command[BENCH_SCRATCH + 20];
+    snprintf(command, sizeof command, "rm -rf '%s'", directory);
+    if (system(command)) printf("    (%s is left)\n", directory);
+}
 
 typedef struct reference_def {
     const char *out;      /* the directory */

@@ -230,13 +230,13 @@ static int tets_ccx_read(const char *path, const char *block, sfem_int node, int
 static int tets_calculix(const tets_case *c, int quadratic, sfem_int node, double *u,
                          double *stress)
 {
-    char directory[] = "/tmp/softfem_ccx_XXXXXX", text[400];
+    char directory[BENCH_SCRATCH], text[400];
     sfem_model *model;
     const sfem_matrix *k;
     sfem_int t, i;
     int a, ok;
     FILE *f;
-    if (system("command -v ccx >/dev/null 2>&1") || !mkdtemp(directory)) return 0;
+    if (system("command -v ccx >/dev/null 2>&1") || !bench_scratch(directory)) return 0;
     model = tets_model(c, SFEM_TET_LINEAR);
     k = sfem_model_stiffness(model);
     snprintf(text, sizeof text, "%s/a.inp", directory);
@@ -279,8 +279,7 @@ static int tets_calculix(const tets_case *c, int quadratic, sfem_int node, doubl
     snprintf(text, sizeof text, "%s/a.frd", directory);
     ok = ok && tets_ccx_read(text, "DISP", node, 3, u) &&
          tets_ccx_read(text, "STRESS", node, 6, stress);
-    snprintf(text, sizeof text, "rm -rf '%s'", directory);
-    if (system(text)) printf("    (%s is left)\n", directory);
+    bench_scratch_remove(directory);
     sfem_model_free(model);
     return ok;
 }
@@ -288,11 +287,11 @@ static int tets_calculix(const tets_case *c, int quadratic, sfem_int node, doubl
 /* Frequencies after the first `zero` by CalculiX; 0 without it. */
 static int tets_ccx_modes(const tets_case *c, int quadratic, int zero, int count, double *hz)
 {
-    char directory[] = "/tmp/softfem_ccx_XXXXXX", text[400];
+    char directory[BENCH_SCRATCH], text[400];
     sfem_model *model;
     int found = 0, mode;
     FILE *f;
-    if (system("command -v ccx >/dev/null 2>&1") || !mkdtemp(directory)) return 0;
+    if (system("command -v ccx >/dev/null 2>&1") || !bench_scratch(directory)) return 0;
     model = tets_model(c, SFEM_TET_LINEAR);
     snprintf(text, sizeof text, "%s/a.inp", directory);
     f = fopen(text, "w");
@@ -316,8 +315,7 @@ static int tets_ccx_modes(const tets_case *c, int quadratic, int zero, int count
         }
         if (f) fclose(f);
     }
-    snprintf(text, sizeof text, "rm -rf '%s'", directory);
-    if (system(text)) printf("    (%s is left)\n", directory);
+    bench_scratch_remove(directory);
     return found == count;
 }
 

@@ -2,6 +2,7 @@
  *
  *     body_scattered(tets, q_min, seed, &mesh, &err)   about so many tets; the same bits each time
  *     body_distance(x), body_volume()                  of the shape that it fills
+ *     body_blended(x, user)                            another shape, smooth: a trunk, a head, four limbs
  *     body_quality(x, tet)                             of a tet, as in sfem_mesh_report
  *     body_below(mesh, q)                              the share of the tets of a lower quality
  *
@@ -703,6 +704,32 @@ BODY_STATIC sfem_status body_scattered(sfem_int tets, double q_min, uint64_t see
     const sfem_status status = body_mesh(&p, q_min, seed, out, err);
     body_points_free(&p);
     return status;
+}
+
+/* A trunk, a head, four limbs, blended: the smallest distance, m, rounded off [the exponential minimum]. A sfem_sdf. */
+BODY_STATIC sfem_real body_blended(const sfem_real x[3], void *user)
+{
+    static const double limb[6][7] = {{-0.6, 0, 0, 0.6, 0, 0, 0.3},          {0.8, 0, 0.35, 0.9, 0, 0.4, 0.25},
+                                      {0.5, 0.2, -0.2, 0.6, 0.3, -0.9, 0.1}, {0.5, -0.2, -0.2, 0.6, -0.3, -0.9, 0.1},
+                                      {-0.5, 0.2, -0.2, -0.6, 0.3, -0.9, 0.1}, {-0.5, -0.2, -0.2, -0.6, -0.3, -0.9, 0.1}};
+    double sum = 0;
+    int k, c;
+    (void)user;
+    for (k = 0; k < 6; ++k) {
+        double along = 0, length = 0, square = 0;
+        for (c = 0; c < 3; ++c) {
+            const double e = limb[k][3 + c] - limb[k][c];
+            along += (x[c] - limb[k][c]) * e;
+            length += e * e;
+        }
+        along = fmin(1.0, fmax(0.0, along / length));
+        for (c = 0; c < 3; ++c) {
+            const double d = x[c] - limb[k][c] - along * (limb[k][3 + c] - limb[k][c]);
+            square += d * d;
+        }
+        sum += exp(-20 * (sqrt(square) - limb[k][6]));
+    }
+    return -log(sum) / 20;
 }
 
 #endif

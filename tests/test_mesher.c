@@ -6,6 +6,7 @@
 #define SFEM_ENABLE_MESHER
 #define SFEM_ENABLE_MODEL
 #include "support.h"
+#include "bodies.h"
 #include "linear.h"
 
 /* ---- surfaces of our own ---- */
@@ -700,27 +701,6 @@ static sfem_real gyroid(const sfem_real x[3], void *user)
     return sin(x[0]) * cos(x[1]) + sin(x[1]) * cos(x[2]) + sin(x[2]) * cos(x[0]);
 }
 
-/* A trunk, a head, four limbs, blended: the smallest distance, rounded off [the exponential minimum]. */
-static sfem_real animal(const sfem_real x[3], void *user)
-{
-    static const double limb[6][7] = {{-0.6, 0, 0, 0.6, 0, 0, 0.3},       {0.8, 0, 0.35, 0.9, 0, 0.4, 0.25},
-                                      {0.5, 0.2, -0.2, 0.6, 0.3, -0.9, 0.1}, {0.5, -0.2, -0.2, 0.6, -0.3, -0.9, 0.1},
-                                      {-0.5, 0.2, -0.2, -0.6, 0.3, -0.9, 0.1}, {-0.5, -0.2, -0.2, -0.6, -0.3, -0.9, 0.1}};
-    double sum = 0;
-    int k, c;
-    (void)user;
-    for (k = 0; k < 6; ++k) {
-        double e[3], d[3], t;
-        sfemi_sub3(limb[k] + 3, limb[k], e);
-        sfemi_sub3(x, limb[k], d);
-        t = sfemi_dot3(d, e) / sfemi_dot3(e, e);
-        t = t < 0 ? 0 : t > 1 ? 1 : t;
-        for (c = 0; c < 3; ++c) d[c] -= t * e[c];
-        sum += exp(-20 * (sqrt(sfemi_dot3(d, d)) - limb[k][6]));
-    }
-    return -log(sum) / 20;
-}
-
 static sfem_real broken_function(const sfem_real x[3], void *user)
 {
     (void)user;
@@ -742,7 +722,7 @@ static void functions_are_meshed(void **state)
             for (c = 0; c < 3; ++c) box[0][c] = k == 1 ? 0 : -ends[k], box[1][c] = ends[k];
             def.mode = (sfem_mesher_mode)mode;
             def.tets = k == 1 ? 16000 : 8000;
-            assert_ok(sfem_mesh_from_sdf(&def, k == 0 ? ball : k == 1 ? gyroid : animal, &r, (const double(*)[3])box, &m, &info,
+            assert_ok(sfem_mesh_from_sdf(&def, k == 0 ? ball : k == 1 ? gyroid : body_blended, &r, (const double(*)[3])box, &m, &info,
                                          &err), err);
             assert_near(m.tets, def.tets, 0.15, 0);
             assert_sound(&m, mode ? 59.999 : 10.7, mode ? 90.001 : 164.8);
