@@ -671,7 +671,7 @@ static void a_hundred_balls_in_a_box(void **unused)
         free(u);
         free(v);
     }
-    for (k = 0; k < 90; ++k) {
+    for (k = 0; k < (TEST_SANITIZED ? 30 : 90); ++k) {
         step(&s, 1.0 / 60);
         deepest = fmax(deepest, sfem_contact_get_info(s.contact).penetration);
         for (i = 0; i < 100; ++i) deepest = fmax(deepest, -lowest(&s, i));
@@ -838,7 +838,7 @@ static void a_ball_on_a_plane_bears_the_force_of_hertz(void **unused)
     s = scene_of(mesh, SFEM_COROTATIONAL, young, poisson);
     add_body(&s, &def, 0);
     s.floor = add_plane(&s, 0, 1, 0, 0, 0);
-    for (k = 0; k < 2; ++k) {
+    for (k = TEST_SANITIZED ? 1 : 0; k < 2; ++k) {
         const sfem_real up[3] = {0, 0, depth[k]};
         sfem_real force[3], torque[3];
         const double hertz = 4.0 / 3 * young / (1 - poisson * poisson) * pow(depth[k], 1.5);
@@ -847,7 +847,7 @@ static void a_ball_on_a_plane_bears_the_force_of_hertz(void **unused)
         sfem_contact_obstacle_force(s.contact, s.floor, force, torque);
         found[k] = -force[2] / hertz;
     }
-    for (k = 0; k < 2; ++k) assert_near(found[k], 1, 0, 0.05);
+    for (k = TEST_SANITIZED ? 1 : 0; k < 2; ++k) assert_near(found[k], 1, 0, 0.05);
     free(pins);
     drop(&s);
 }
@@ -926,7 +926,7 @@ static void a_slab_rests_on_obstacles_of_every_kind(void **unused)
     const sfem_real size[3] = {0.8, 0.8, 0.3};
     size_t i;
     (void)unused;
-    for (i = 0; i < TEST_COUNT(kinds); ++i) {
+    for (i = 0; i < TEST_COUNT(kinds); i += TEST_SANITIZED ? 3 : 1) {
         sfem_body_def def = falling();
         sfem_surface surface = surface_of_a_ball();
         sfem_obstacle_def shape = shape_of(kinds[i], &surface);

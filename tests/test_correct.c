@@ -70,7 +70,7 @@ static void the_order_is_two(void **state)
     const size_t n = 3 * 54;
     int law, which, k;
     (void)state;
-    for (law = 0; law < 3; ++law) {
+    for (law = TEST_SANITIZED ? 2 : 0; law < 3; ++law) {
         double truth[3 * MAX_NODES], u[3 * MAX_NODES];
         sag(laws[law], 1e-6, SFEM_NEWMARK, 3200, 0, truth);
         for (which = 0; which < 3; ++which) {
@@ -95,7 +95,7 @@ static void the_order_is_two_at_random_steps(void **state)
     int law, k;
     uint64_t seed;
     (void)state;
-    for (law = 0; law < 3; ++law) {
+    for (law = 0; law < (TEST_SANITIZED ? 1 : 3); ++law) {
         double truth[3 * MAX_NODES], u[3 * MAX_NODES], error[4] = {0}, even;
         sag(laws[law], 1e-6, SFEM_NEWMARK, 3200, 0, truth);
         for (k = 0; k < 4; ++k)

@@ -214,7 +214,7 @@ static void no_break_raises_the_invariant_of_a_linear_body(void **state)
     int k, shaken, i;
     (void)state;
     for (shaken = 0; shaken < 2; ++shaken)
-        for (k = 0; k < (shaken ? 2 : 4); ++k) {
+        for (k = TEST_SANITIZED ? 1 : 0; k < (shaken || TEST_SANITIZED ? 2 : 4); ++k) {
             sfem_body_def def = exact_body_def();
             const sfem_damage_def damage = brittle(20);
             scene s = bar(10, 3, 3, glass(SFEM_LINEAR, 1e6));
@@ -626,7 +626,7 @@ static void the_sources_law_explodes_unless_p_is_what_it_asks_for(void **state)
     double p, k[3];
     int i;
     (void)state;
-    for (i = 0; i < 3; ++i) {
+    for (i = 0; i < (TEST_SANITIZED ? 1 : 3); ++i) {
         k[0] = most_energy(SFEM_DAMAGE_ZSZ, 0.25, omega[i], &p);
         k[1] = most_energy(SFEM_DAMAGE_ZSZ, 0, omega[i], &p);
         k[2] = most_energy(SFEM_DAMAGE_CONDENSED, 0.25, omega[i], &p);

@@ -588,7 +588,7 @@ static void violent_runs_keep_their_energy(void **state)
                 for (k = 0; k < 3; ++k) {
                     sfem_body_info info;
                     double e;
-                    if (TEST_SANITIZED && (i + j + k + kind) % 3) continue;
+                    if (TEST_SANITIZED && (i + 3 * j + k + kind) % 6) continue;
                     e = excess(kind, young[i], poisson[j], h[k], k < 2 ? 1 : 0.3, exact_body_def(),
                                SFEM_COROTATIONAL, &info);
                     if (!(e <= 1))
@@ -792,8 +792,8 @@ static void crushed_bodies_come_back(void **state)
     double young;
     int kind, k, runs = 0, back = 0;
     (void)state;
-    for (k = 0; k < 2; ++k)
-        for (young = 1e4; young < 2e9; young *= 10)
+    for (k = 0; k < (TEST_SANITIZED ? 1 : 2); ++k)
+        for (young = 1e4; young < 2e9; young *= TEST_SANITIZED ? 1000 : 10)
             for (kind = INSIDE_OUT; kind < SCENES; ++kind) {
                 sfem_material m = rubber(young);
                 scene s;
@@ -836,7 +836,7 @@ static void bodies_torn_a_hundredfold_come_back(void **state)
     const double young[2] = {1e4, 1e9};
     int k;
     (void)state;
-    for (k = 0; k < 2; ++k) {
+    for (k = TEST_SANITIZED ? 1 : 0; k < 2; ++k) {
         sfem_material m = rubber(young[k]);
         const double calm = 0.1 * young[k] * 0.4 * 0.2 * 0.2;
         sfem_body_info info;
@@ -1071,7 +1071,7 @@ static void handles_are_where_they_should_be(void **state)
     int64_t rejected = 0;
     int k, held, j;
     (void)state;
-    for (k = 0; k < 3; ++k)
+    for (k = TEST_SANITIZED ? 2 : 0; k < 3; ++k)
         for (held = 0; held < 2; ++held) {
             scene s = bar(5, 2, rubber(young[k]));
             sfem_body_def def = exact_body_def();
@@ -1282,7 +1282,7 @@ static void a_saved_state_continues_bit_for_bit(void **state)
     int kind, k;
     (void)state;
     for (kind = KICKED; kind <= SCATTERED + 1; ++kind)
-        for (k = 0; k < 4; ++k) {
+        for (k = 0; k < 4; k += TEST_SANITIZED ? 2 : 1) {
             sfem_material m = rubber(1e6);
             sfem_body *first;
             sfem_int handle = 0;
@@ -1414,7 +1414,7 @@ static void any_number_of_threads_gives_the_same_bits(void **state)
     uint64_t hash[3] = {0, 0, 0};
     int threads, k;
     (void)state;
-    for (threads = 1; threads <= 5; threads += threads == 1 ? 1 : 3) /* 1, 2, 5 */
+    for (threads = 1; threads <= 5; threads += threads == 1 && !TEST_SANITIZED ? 1 : 3) /* 1, 2, 5; 1, 4 */
         for (k = 0; k < 3; ++k) {
             sfem_material m = rubber(1e6);
             sfem_body_def def = eventful();

@@ -7,6 +7,7 @@
 #include <dirent.h>
 #include <pthread.h>
 #include <stdio.h>
+#include <stdlib.h>
 #include "softfem.h"
 #include "block_fem.h"
 
@@ -1350,5 +1351,7 @@ int main(void)
         cmocka_unit_test(conjugate_gradients_report_what_they_did),
         cmocka_unit_test(conjugate_gradients_give_the_same_bits_for_any_threads),
     };
+    const char *filter = getenv("SFEM_FILTER");
+    if (filter && *filter) cmocka_set_test_filter(filter);
     return cmocka_run_group_tests(tests, NULL, NULL);
 }
