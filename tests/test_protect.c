@@ -84,7 +84,7 @@ static void a_grabbed_node_is_not_torn_off(void **state)
     size_t k;
     int point, protect;
     (void)state;
-    for (k = TEST_SANITIZED ? 2 : 0; k < TEST_COUNT(young); ++k)
+    for (k = 0; k < (TEST_SANITIZED ? 1 : TEST_COUNT(young)); ++k)
         for (point = 0; point < 2; ++point)
             for (protect = -1; protect < 1; ++protect) {
                 soft s = make_soft(5, young[k], 1, protect, SFEM_BREAK_ENERGY);
