@@ -33052,8 +33052,9 @@ static sfem_status sfemi_contact_detect_nodes(sfem_contact *c, sfemi_touch *t, s
         sfem_real y0[3], y1[3];
         sfemi_row row;
         if (t->row_of[t->node[i]] >= 0) continue;
-        sfemi_obstacle_to_local(o->from, o->from_axes, t->x0 + 3 * (size_t)i, y0);
         sfemi_obstacle_to_local(o->to, o->to_axes, t->x1 + 3 * (size_t)i, y1);
+        if (o->def.kind == SFEM_OBSTACLE_PLANE && y1[2] >= margin) continue; /* most nodes, of most scenes */
+        sfemi_obstacle_to_local(o->from, o->from_axes, t->x0 + 3 * (size_t)i, y0);
         memset(&row, 0, sizeof row);
         if (!sfemi_contact_meets(o, y0, y1, margin, &row)) continue;
         row.feature = row.node[0] = t->node[i];
@@ -33097,26 +33098,27 @@ static void sfemi_contact_face_at(const sfemi_touch *t, const sfemi_obstacle *o,
     }
 }
 
-/* The least distance of a point of the triangle, and its weights. */
+/* The least distance of a point of the triangle, and its weights; where it surely is not below `goal`, any. A distance
+ * changes by no more than its point moves, which is at most `length` in a step. */
 static sfem_real sfemi_contact_face_depth(const sfemi_obstacle *o, const sfem_real corner[9], sfem_real size,
-                                          sfem_real weight[3])
+                                          sfem_real goal, sfem_real weight[3])
 {
     enum { STEPS = 16 };
-    sfem_real best = 1e300, y[3], n[3], w[3] = {1.0 / 3, 1.0 / 3, 1.0 / 3}, length = size;
+    sfem_real best = 1e300, y[3], n[3] = {0, 0, 0}, at[3] = {0, 0, 0}, down[3] = {0, 0, 0};
+    sfem_real w[3] = {1.0 / 3, 1.0 / 3, 1.0 / 3}, length = size;
     int k, c;
-    for (k = 0; k < STEPS; ++k) {
+    for (k = 0; k < STEPS && (o->safe < 1 || best - length * (STEPS - k) <= goal || k == 0); ++k) {
         sfem_real s;
         for (c = 0; c < 3; ++c) y[c] = w[0] * corner[c] + w[1] * corner[3 + c] + w[2] * corner[6 + c];
         s = sfemi_obstacle_distance(o, y, n);
         if (s < best) {
             best = s;
             memcpy(weight, w, sizeof w);
-        } else { /* back to the best, and shorter steps */
-            length /= 2;
-            for (c = 0; c < 3; ++c) y[c] = weight[0] * corner[c] + weight[1] * corner[3 + c] + weight[2] * corner[6 + c];
-            if (sfemi_obstacle_distance(o, y, n) > 1e299) break;
-        }
-        for (c = 0; c < 3; ++c) y[c] -= length * n[c];
+            memcpy(at, y, sizeof at);
+            memcpy(down, n, sizeof down);
+        } else length /= 2; /* back to the best, and shorter steps */
+        if (best > 1e299) break;
+        for (c = 0; c < 3; ++c) y[c] = at[c] - length * down[c];
         (void)sfemi_shell_nearest(corner, corner + 3, corner + 6, y, w);
     }
     return best;
@@ -33151,8 +33153,8 @@ static int sfemi_contact_face_meets(const sfemi_touch *t, const sfemi_obstacle *
         for (c = 0; c < 3; ++c) middle[c] = (corner[c] + corner[3 + c] + corner[6 + c]) / 3;
         if (o->safe * sfemi_obstacle_distance(o, middle, n) > size) continue;
         for (c = 0; c < 3; ++c) nodes = fmin(nodes, sfemi_obstacle_distance(o, corner + 3 * c, n));
-        s = sfemi_contact_face_depth(o, corner, size, weight);
-        if (s < -1e-3 * t->edge && s < nodes - 0.02 * size) return 1;
+        nodes = fmin(nodes - 0.02 * size, -1e-3 * t->edge);
+        if (sfemi_contact_face_depth(o, corner, size, nodes, weight) < nodes) return 1;
     }
     return 0;
 }
@@ -33322,10 +33324,10 @@ static sfem_status sfemi_contact_detect(sfem_contact *c, sfemi_touch *t, const s
     for (i = 0; i < t->nodes; ++i)
         for (k = 0; k < 3; ++k) {
             const size_t at = 3 * (size_t)t->node[i] + (size_t)k, to = 3 * (size_t)i + (size_t)k;
-            t->x0[to] = rest[at] + u[at];
-            t->x1[to] = t->x0[to] + h * w[at];
-            box[0][k] = fmin(box[0][k], fmin(t->x0[to], t->x1[to]));
-            box[1][k] = fmax(box[1][k], fmax(t->x0[to], t->x1[to]));
+            const sfem_real x0 = t->x0[to] = rest[at] + u[at], x1 = t->x1[to] = x0 + h * w[at];
+            const sfem_real low = x0 < x1 ? x0 : x1, high = x0 < x1 ? x1 : x0;
+            if (low < box[0][k]) box[0][k] = low;
+            if (high > box[1][k]) box[1][k] = high;
         }
     sfemi_contact_follow(c, t, w, h);
     for (i = 0; i < c->obstacles; ++i) {
@@ -33519,10 +33521,10 @@ static sfem_status sfemi_columns_expect(sfem_contact *c, sfemi_touch *t, sfem_re
     for (i = 0; i < t->nodes; ++i)
         for (k = 0; k < 3; ++k) {
             const size_t at = 3 * (size_t)t->node[i] + (size_t)k, to = 3 * (size_t)i + (size_t)k;
-            t->x0[to] = rest[at] + u[at];
-            t->x1[to] = t->x0[to] + ahead * w[at];
-            box[0][k] = fmin(box[0][k], fmin(t->x0[to], t->x1[to]));
-            box[1][k] = fmax(box[1][k], fmax(t->x0[to], t->x1[to]));
+            const sfem_real x0 = t->x0[to] = rest[at] + u[at], x1 = t->x1[to] = x0 + ahead * w[at];
+            const sfem_real low = x0 < x1 ? x0 : x1, high = x0 < x1 ? x1 : x0;
+            if (low < box[0][k]) box[0][k] = low;
+            if (high > box[1][k]) box[1][k] = high;
         }
     for (j = 0; j < c->obstacles && most != 0 && count != most; ++j) {
         sfemi_obstacle o = c->obstacle[j];
@@ -33809,8 +33811,9 @@ static void sfemi_contact_solve_row(const sfemi_row *row, const sfem_real u[3], 
     for (a = 1; size > mu * l[0] && a < 3; ++a) l[a] *= mu * l[0] / size;
 }
 
-/* Sweeps over `count` rows, whose nodes have the velocities c->v, impulses row->l, until these change little. */
-static void sfemi_contact_sweep(sfem_contact *c, sfem_int count)
+/* Sweeps over `count` rows, whose nodes have the velocities c->v, impulses row->l, until these change little: by the
+ * tolerance's part, or by less than `enough`, J. */
+static void sfemi_contact_sweep(sfem_contact *c, sfem_int count, sfem_real enough)
 {
 #define SFEMI_CONTACT_COLUMNS(path) sfemi_contact_columns_##path
     static const sfemi_contact_columns columns[] = SFEMI_PATHS(SFEMI_CONTACT_COLUMNS);
@@ -33837,7 +33840,7 @@ static void sfemi_contact_sweep(sfem_contact *c, sfem_int count)
         }
         ++c->info.sweeps;
         for (i = 0; i < count; ++i) size += c->list[i]->d[0] * sfemi_dot3(c->list[i]->l, c->list[i]->l);
-        if (change <= c->def.tolerance * c->def.tolerance * size) break;
+        if (change <= fmax(c->def.tolerance * c->def.tolerance * size, enough)) break;
     }
 }
 
@@ -33920,14 +33923,33 @@ static void sfemi_contact_trial_velocity(sfem_contact *c, const sfemi_touch *t)
     for (i = 0; i < 3 * (size_t)b->model->mesh.nodes; ++i) c->w[i] = base[i] + d * b->acc[i];
 }
 
+/* J: what corrections of the step leave undone is up to the accuracy's part of the energy in motion; of that changes of
+ * impulses may be a hundredth. Not in a fallback, which has to converge. */
+static sfem_real sfemi_contact_accuracy(const sfemi_touch *t)
+{
+    const sfem_body *b = t->body;
+    return t->fallback || !b->scheme.rotates ? 0 : 0.01 * fmin(b->def.accuracy, 1e-6) * b->state.head->scale;
+}
+
+/* J: smaller changes of impulses are left to the next step, for each takes a solve. */
+static sfem_real sfemi_contact_negligible(const sfem_contact *c, const sfemi_touch *t)
+{
+    const sfem_real part = c->def.tolerance * c->def.tolerance * t->size;
+    return t->fallback ? fmin(part, 1e-3 * t->tolerance) : fmax(part, sfemi_contact_accuracy(t));
+}
+
 /* The cones of an island with its bodies at w' - dir, or in the trial at c->w (one body). Leaves the rows' changes,
  * and in each body what energy they are, and all impulses. */
 static sfem_status sfemi_contact_press(sfem_contact *c, sfemi_island island, int trial, sfem_error *err)
 {
     sfem_status status = SFEM_OK;
     sfem_int count, i;
+    sfem_real enough = 1e300;
     int k, a;
-    for (i = island.first; i < island.first + island.count; ++i) c->touch[i].change = c->touch[i].size = c->touch[i].expected = 0;
+    for (i = island.first; i < island.first + island.count; ++i) {
+        c->touch[i].change = c->touch[i].size = c->touch[i].expected = 0;
+        enough = fmin(enough, 0.01 * sfemi_contact_accuracy(c->touch + i)); /* changes of many sweeps add up */
+    }
     SFEMI_TRY(sfemi_contact_assemble(c, island, &count, err));
     if (!count) return SFEM_OK;
     for (i = 0; i < c->nodes; ++i) {
@@ -33948,7 +33970,7 @@ static sfem_status sfemi_contact_press(sfem_contact *c, sfemi_island island, int
             sfemi_contact_set_up_row(c, t, t->row + j, t->body->step.h, sfemi_contact_span(t));
     }
     memcpy(c->v0, c->v, 3 * (size_t)c->nodes * sizeof *c->v);
-    sfemi_contact_sweep(c, count);
+    sfemi_contact_sweep(c, count, enough);
     for (i = island.first; i < island.first + island.count; ++i) {
         sfemi_touch *t = c->touch + i;
         sfem_int j;
@@ -34006,12 +34028,6 @@ static sfem_real sfemi_contact_response(const sfemi_touch *t, const sfem_real *b
                 does += t->row[i].weight[k] * t->row[i].change[a] * (after[at] - (before ? before[at] : 0));
             }
     return t->expected > 0 ? does / t->expected : 1;
-}
-
-/* J: changes of impulses below the tolerance are left to the next step. */
-static sfem_real sfemi_contact_negligible(const sfem_contact *c, const sfemi_touch *t)
-{
-    return c->def.tolerance * c->def.tolerance * t->size;
 }
 
 /* ---- the trial ---- */
@@ -34225,7 +34241,7 @@ static void sfemi_contact_correct_body(sfem_contact *c, sfemi_touch *t)
     sfemi_safeguard *g = &b->safeguard;
     sfem_real length = 0, left;
     sfem_int k;
-    if ((t->change > sfemi_contact_negligible(c, t) || t->change > 1e-3 * t->tolerance) && !sfemi_contact_redirect(c, t)) {
+    if (t->change > sfemi_contact_negligible(c, t) && !sfemi_contact_redirect(c, t)) {
         ++g->corrections;
         return;
     }
