@@ -33811,9 +33811,8 @@ static void sfemi_contact_solve_row(const sfemi_row *row, const sfem_real u[3], 
     for (a = 1; size > mu * l[0] && a < 3; ++a) l[a] *= mu * l[0] / size;
 }
 
-/* Sweeps over `count` rows, whose nodes have the velocities c->v, impulses row->l, until these change little: by the
- * tolerance's part, or by less than `enough`, J. */
-static void sfemi_contact_sweep(sfem_contact *c, sfem_int count, sfem_real enough)
+/* Sweeps over `count` rows, whose nodes have the velocities c->v, impulses row->l, until these change little. */
+static void sfemi_contact_sweep(sfem_contact *c, sfem_int count)
 {
 #define SFEMI_CONTACT_COLUMNS(path) sfemi_contact_columns_##path
     static const sfemi_contact_columns columns[] = SFEMI_PATHS(SFEMI_CONTACT_COLUMNS);
@@ -33840,7 +33839,7 @@ static void sfemi_contact_sweep(sfem_contact *c, sfem_int count, sfem_real enoug
         }
         ++c->info.sweeps;
         for (i = 0; i < count; ++i) size += c->list[i]->d[0] * sfemi_dot3(c->list[i]->l, c->list[i]->l);
-        if (change <= fmax(c->def.tolerance * c->def.tolerance * size, enough)) break;
+        if (change <= c->def.tolerance * c->def.tolerance * size) break;
     }
 }
 
@@ -33923,19 +33922,12 @@ static void sfemi_contact_trial_velocity(sfem_contact *c, const sfemi_touch *t)
     for (i = 0; i < 3 * (size_t)b->model->mesh.nodes; ++i) c->w[i] = base[i] + d * b->acc[i];
 }
 
-/* J: what corrections of the step leave undone is up to the accuracy's part of the energy in motion; of that changes of
- * impulses may be a hundredth. Not in a fallback, which has to converge. */
-static sfem_real sfemi_contact_accuracy(const sfemi_touch *t)
-{
-    const sfem_body *b = t->body;
-    return t->fallback || !b->scheme.rotates ? 0 : 0.01 * fmin(b->def.accuracy, 1e-6) * b->state.head->scale;
-}
-
-/* J: smaller changes of impulses are left to the next step, for each takes a solve. */
+/* J: smaller changes of impulses are left to the next step, for each takes a solve. By more than the tolerance, to which
+ * sweeps go: what these leave would take one in every step of a body at rest. In a fallback, which has to converge, less. */
 static sfem_real sfemi_contact_negligible(const sfem_contact *c, const sfemi_touch *t)
 {
     const sfem_real part = c->def.tolerance * c->def.tolerance * t->size;
-    return t->fallback ? fmin(part, 1e-3 * t->tolerance) : fmax(part, sfemi_contact_accuracy(t));
+    return t->fallback ? fmin(part, 1e-3 * t->tolerance) : 10 * part;
 }
 
 /* The cones of an island with its bodies at w' - dir, or in the trial at c->w (one body). Leaves the rows' changes,
@@ -33944,12 +33936,8 @@ static sfem_status sfemi_contact_press(sfem_contact *c, sfemi_island island, int
 {
     sfem_status status = SFEM_OK;
     sfem_int count, i;
-    sfem_real enough = 1e300;
     int k, a;
-    for (i = island.first; i < island.first + island.count; ++i) {
-        c->touch[i].change = c->touch[i].size = c->touch[i].expected = 0;
-        enough = fmin(enough, 0.01 * sfemi_contact_accuracy(c->touch + i)); /* changes of many sweeps add up */
-    }
+    for (i = island.first; i < island.first + island.count; ++i) c->touch[i].change = c->touch[i].size = c->touch[i].expected = 0;
     SFEMI_TRY(sfemi_contact_assemble(c, island, &count, err));
     if (!count) return SFEM_OK;
     for (i = 0; i < c->nodes; ++i) {
@@ -33970,7 +33958,7 @@ static sfem_status sfemi_contact_press(sfem_contact *c, sfemi_island island, int
             sfemi_contact_set_up_row(c, t, t->row + j, t->body->step.h, sfemi_contact_span(t));
     }
     memcpy(c->v0, c->v, 3 * (size_t)c->nodes * sizeof *c->v);
-    sfemi_contact_sweep(c, count, enough);
+    sfemi_contact_sweep(c, count);
     for (i = island.first; i < island.first + island.count; ++i) {
         sfemi_touch *t = c->touch + i;
         sfem_int j;
