@@ -1982,10 +1982,11 @@ typedef struct sfem_contact_def {
     sfem_real push_share;      /* of a penetration that is taken back in a step, 0 to 1; 0.2 */
     sfem_real push_speed;      /* m/s, at most, >= 0; 0.5. It is work done on the body */
     sfem_int max_contacts;     /* of all bodies together, >= 1; 4096 */
-    size_t cache_bytes;        /* for columns of A^-1, 36 bytes for each pair of nodes; 256 MB. Where they do not suffice,
-                                * those that have not been of use for longest go; with less than a step needs it makes
-                                * them again in each. Only while they are made there are up to 8 columns more. Beside
-                                * it a body keeps 36 bytes for each pair of nodes that are in contact */
+    size_t cache_bytes;        /* for columns of A^-1's factors, 12 bytes for each unknown on a node's way up the
+                                * elimination tree; 256 MB. Where they do not suffice, those that have not been of use
+                                * for longest go; where less is there than a step needs, they are made again when other
+                                * nodes touch. Only then there are those of all nodes in contact. Beside it a body keeps
+                                * 72 bytes for each pair of nodes that are in contact */
     sfem_real column_flops;    /* multiply-adds a step for columns of nodes that will touch within 8 steps, >= 0; 3e7. Bodies
                                 * that come near have them made early, of two nodes a step or more; 0: when they touch */
     sfem_allocator allocator;
@@ -2072,7 +2073,7 @@ SFEM_DEF void sfem_contact_obstacle_pose(const sfem_contact *contact, sfem_int i
 /* One step of h seconds of all bodies. On failure all are as they were.
  *   errors  those of sfem_body_step; SFEM_FULL: more than max_contacts; SFEM_OUT_OF_MEMORY. Steps allocate where there
  *           are more contacts than ever before, and for columns of nodes that have not touched before
- *   cost    of a body in contact a step as without, two solves for each correction in place of one, three solves for a
+ *   cost    of a body in contact a step as without, two solves for each correction in place of one, a fifth of a solve for a
  *           node that touches for the first time, and sweeps: O(nodes in contact squared) each */
 SFEM_DEF sfem_status sfem_contact_step(sfem_contact *contact, sfem_real h, sfem_error *err);
 
@@ -14532,6 +14533,7 @@ typedef struct sfemi_solve {
     size_t block;
     double *w, *scratch;
     float *w32, *scratch32;
+    const unsigned char *mark; /* [supernodes] those that a sweep is limited to, with all above them; NULL: all */
     sfem_task forward, backward;
     sfemi_counter *done;
     sfemi_throttle *throttle;
@@ -14563,11 +14565,12 @@ SFEM_DEF size_t sfem_ldl_work_size(const sfem_ldl *ldl, sfem_int rhs)
         const sfem_int wide = y->first[root + 1] - y->first[root];                                 \
         sfem_int s, c;                                                                             \
         size_t i;                                                                                  \
+        if (q->mark && !q->mark[root]) return;                                                     \
         memset(buffer, 0, n *(size_t)(y->buffer[t + 1] - y->buffer[t]) * sizeof *buffer);          \
         for (c = y->child[root]; c >= 0; c = y->sibling[c]) { /* what other tasks have to add */   \
             const R *from = w + n * ((size_t)y->n + (size_t)y->buffer[y->of[c]]);                  \
             size_t a = y->start[c];                                                                \
-            if (y->of[c] == t) continue;                                                           \
+            if (y->of[c] == t || (q->mark && !q->mark[c])) continue;                               \
             for (; a < y->start[c + 1]; ++a, from += n) {                                          \
                 R *to = y->place[a] < wide ? w + n * (size_t)(y->first[root] + y->place[a])        \
                                            : buffer + n * (size_t)(y->place[a] - wide);            \
@@ -14578,6 +14581,7 @@ SFEM_DEF size_t sfem_ldl_work_size(const sfem_ldl *ldl, sfem_int rhs)
             const size_t k = y->per * (size_t)(y->first[s + 1] - y->first[s]);                     \
             const size_t f = k + y->per * (y->start[s + 1] - y->start[s]);                         \
             R *x = w + n * (size_t)y->first[s];                                                    \
+            if (q->mark && !q->mark[s]) continue;                                                  \
             (q->block == 1   ? y->kernels->forward_                                                \
              : q->block == 4 ? y->kernels->forward4_                                               \
                              : y->kernels->forward8_)(                                             \
@@ -14742,22 +14746,27 @@ static void sfemi_solve_some32(sfemi_solve *q, size_t count, double *x, const sf
                     unit[r] * (double)q->w32[(per * i + c) * b + r];
 }
 
+static void sfemi_solve_set_up(sfemi_solve *q, const sfem_ldl *ldl, sfem_int rhs, sfem_real *work)
+{
+    memset(q, 0, sizeof *q);
+    q->ldl = ldl;
+    q->block = rhs > SFEMI_SOLVE_ALONE ? SFEMI_SOLVE_BLOCK : 1;
+    q->throttle = ldl->throttle + (q->block == 1 ? 1 : 2);
+    q->w = work;
+    q->scratch = work + sfemi_solve_rows(ldl->symbolic) * q->block;
+    q->w32 = (float *)(void *)q->w;
+    q->scratch32 = (float *)(void *)q->scratch;
+    q->done = (sfemi_counter *)(void *)(q->scratch + ldl->symbolic->scratch[ldl->symbolic->tasks] *
+                                                         SFEMI_SOLVE_SCRATCH);
+}
+
 SFEM_DEF void sfem_ldl_solve(const sfem_ldl *ldl, sfem_int rhs, sfem_real *x, sfem_real *work,
                              const sfem_exec *exec)
 {
     const size_t n = ldl->symbolic->per * (size_t)ldl->symbolic->n;
     sfemi_solve q;
     SFEM_ASSERT(ldl->valid && rhs >= 0 && (rhs == 0 || n == 0 || (x && work)));
-    memset(&q, 0, sizeof q);
-    q.ldl = ldl;
-    q.block = rhs > SFEMI_SOLVE_ALONE ? SFEMI_SOLVE_BLOCK : 1;
-    q.throttle = ldl->throttle + (q.block == 1 ? 1 : 2);
-    q.w = work;
-    q.scratch = work + sfemi_solve_rows(ldl->symbolic) * q.block;
-    q.w32 = (float *)(void *)q.w;
-    q.scratch32 = (float *)(void *)q.scratch;
-    q.done = (sfemi_counter *)(void *)(q.scratch + ldl->symbolic->scratch[ldl->symbolic->tasks] *
-                                                       SFEMI_SOLVE_SCRATCH);
+    sfemi_solve_set_up(&q, ldl, rhs, work);
     while (rhs > 0 && n > 0) {
         const size_t count = (size_t)rhs < q.block ? (size_t)rhs : q.block;
         if (ldl->mixed)
@@ -14768,6 +14777,91 @@ SFEM_DEF void sfem_ldl_solve(const sfem_ldl *ldl, sfem_int rhs, sfem_real *x, sf
         rhs -= (sfem_int)count;
     }
 }
+
+#if !defined SFEM_NO_BODY && !defined SFEM_NO_CONTACT
+/* ---- columns of L^-1 ----
+ *
+ * With L times the roots of D, A^-1 = L^-T L^-1: of unit right sides at nodes i and k the entry of A^-1 is the dot product
+ * of two columns of L^-1, which are not 0 but in the supernode of their node and in those above it. */
+
+/* The supernode of node i, in the order of A. */
+static sfem_int sfemi_path_start(const sfem_ldl *ldl, sfem_int i)
+{
+    const sfemi_symbolic *y = ldl->symbolic;
+    const sfem_int column = y->inverse[i];
+    sfem_int low = 0, high = y->supernodes;
+    while (high - low > 1) {
+        const sfem_int middle = (low + high) / 2;
+        if (y->first[middle] <= column) low = middle;
+        else high = middle;
+    }
+    return low;
+}
+
+/* deep [supernodes]: the unknowns of each and of all above it, by which columns are as long. Returns the numbers in L
+ * along the longest way up. */
+static double sfemi_path_lengths(const sfem_ldl *ldl, size_t *deep)
+{
+    const sfemi_symbolic *y = ldl->symbolic;
+    size_t longest = 0;
+    double most = 0;
+    sfem_int s, at = -1;
+    for (s = y->supernodes; s-- > 0;) {
+        deep[s] = y->per * (size_t)(y->first[s + 1] - y->first[s]) + (y->parent[s] < 0 ? 0 : deep[y->parent[s]]);
+        if (deep[s] > longest) longest = deep[s], at = s;
+    }
+    for (s = at; s >= 0; s = y->parent[s]) most += (double)(y->panel[s + 1] - y->panel[s]);
+    return most;
+}
+
+/* Up to 8 columns: of axis[r] of node[r], to out[r], from the root's unknowns down. work: sfem_ldl_work_size of 8;
+ * mark [supernodes], 0 before and after. */
+static void sfemi_path_columns(const sfem_ldl *ldl, const size_t *deep, sfem_int count, const sfem_int *node,
+                               const int *axis, sfem_real *work, unsigned char *mark, float *const *out)
+{
+    const sfemi_symbolic *y = ldl->symbolic;
+    const size_t block = SFEMI_SOLVE_BLOCK;
+    sfemi_solve q;
+    sfem_int r, s;
+    size_t i;
+    sfemi_solve_set_up(&q, ldl, SFEMI_SOLVE_BLOCK, work);
+    q.mark = mark;
+    for (r = 0; r < count; ++r)
+        for (s = sfemi_path_start(ldl, node[r]); s >= 0 && !mark[s]; s = y->parent[s]) {
+            const size_t at = block * y->per * (size_t)y->first[s], n = block * y->per * (size_t)(y->first[s + 1] - y->first[s]);
+            mark[s] = 1;
+            if (ldl->mixed) memset(q.w32 + at, 0, n * sizeof *q.w32);
+            else memset(q.w + at, 0, n * sizeof *q.w);
+        }
+    for (r = 0; r < count; ++r) {
+        const size_t at = block * (y->per * (size_t)y->inverse[node[r]] + (size_t)axis[r]) + (size_t)r;
+        if (ldl->mixed) q.w32[at] = 1;
+        else q.w[at] = 1;
+    }
+    for (s = 0; s < y->tasks; ++s) (ldl->mixed ? sfemi_solve_forward32 : sfemi_solve_forward)(&q, s);
+    for (r = 0; r < count; ++r)
+        for (s = sfemi_path_start(ldl, node[r]); s >= 0; s = y->parent[s]) {
+            const size_t from = y->per * (size_t)y->first[s], n = y->per * (size_t)(y->first[s + 1] - y->first[s]);
+            float *to = out[r] + deep[s] - n;
+            for (i = 0; i < n; ++i)
+                to[i] = ldl->mixed ? (float)((double)q.w32[block * (from + i) + (size_t)r] / ldl->unit)
+                                   : (float)q.w[block * (from + i) + (size_t)r];
+        }
+    for (r = 0; r < count; ++r)
+        for (s = sfemi_path_start(ldl, node[r]); s >= 0; s = y->parent[s]) mark[s] = 0;
+}
+
+/* How much of the columns of nodes in these supernodes is of the same unknowns. */
+static size_t sfemi_path_shared(const sfem_ldl *ldl, const size_t *deep, sfem_int a, sfem_int b)
+{
+    const sfem_int *parent = ldl->symbolic->parent;
+    while (a != b && a >= 0 && b >= 0) {
+        if (a < b) a = parent[a];
+        else b = parent[b];
+    }
+    return a == b && a >= 0 ? deep[a] : 0;
+}
+#endif
 
 /* ============================================================================================
  * >>ldl   the multifrontal factorisation A = L D L^T, whole, in part, in slices; its public functions
@@ -32175,8 +32269,8 @@ SFEM_DEF void sfem_body_heal(sfem_body *b)
  *     0 <= l_n, v_n >= 0, l_n v_n = 0                          |l_t| <= mu l_n, opposite to v_t
  * `least` is 0, or below it for a point that starts inside: such a one is pushed out slowly.
  *
- * COMPLIANCE. dw' = A^-1 J^T l, A = Q A0 Q^T, where Q rotates each node and A0 is the rest pose's: its columns are the
- * model's, floats, kept (sfemi_columns). In node frames l~ = Q^T l, v~ = Q^T v the system is G = (A0^-1) itself, and rows
+ * COMPLIANCE. dw' = A^-1 J^T l, A = Q A0 Q^T, where Q rotates each node and A0 = L L^T is the rest pose's: of the
+ * nodes in contact columns of L^-1 are kept (sfemi_columns), floats, whose products A0^-1 consists of. In node frames l~ = Q^T l, v~ = Q^T v the system is G = (A0^-1) itself, and rows
  * alone rotate. What the projection of rigid motions adds to A^-1 (>>rotated), 3 to 18 % of v, is left out of G: it is but
  * the metric of an iteration in which every change of l goes through a solve.
  *
@@ -32242,7 +32336,8 @@ typedef struct sfemi_row {
     sfem_real d[9], inverse[9], soft, bias[3], l[3];
 } sfemi_row;
 
-/* Columns of A0^-1 of one factor, between nodes that may touch. */
+/* Columns of L^-1 of one factor, of nodes that may touch. They are not 0 from a node up the elimination tree alone, and need
+ * but that part of one sweep: a tenth of the three solves of a column of A0^-1. */
 typedef struct sfemi_columns {
     struct sfemi_columns *next;
     sfem_model *model;
@@ -32253,7 +32348,12 @@ typedef struct sfemi_columns {
     sfem_int users;
     sfem_int surface, *index; /* nodes that may touch; their numbers by node, or -1 */
     sfem_int *node;           /* [surface] */
-    float **at;               /* [surface] [3][3 surface]: columns of three axes, or NULL */
+    sfem_int *free, *start;   /* [surface] numbers in the factor, -1: it is held, or A is diagonal; and supernodes there */
+    int axes;                 /* 3; 1 where all axes have the same */
+    size_t *deep;             /* [supernodes] see sfemi_path_lengths */
+    sfem_real path;           /* numbers in L along the longest way up */
+    unsigned char *mark;      /* [supernodes] scratch: 0 */
+    float **at;               /* [surface] [axes][length] columns of L^-1, or NULL */
     int64_t *used;            /* [surface] the step in which they last were */
 } sfemi_columns;
 
@@ -32270,9 +32370,9 @@ typedef struct sfemi_touch { /* a body */
     sfemi_row *row;
     sfem_int rows, room;
     sfemi_columns *columns;
-    float *g;                  /* compact G of g_node, kept while its nodes and columns stay the same */
+    float *g, *g_next;         /* compact G of g_node, kept while its nodes and columns stay the same; scratch */
     sfem_int *g_node, g_nodes, g_node_room;
-    size_t g_room;
+    size_t g_room, g_next_room;
     int64_t g_of;              /* columns->made of those that it is of; 0: none */
     /* the step under way */
     int sleep, asleep, rests;  /* rests: it goes on sleeping */
@@ -32316,8 +32416,8 @@ struct sfem_contact {
     sfem_real *v, *v0;     /* [nodes][3] after and before the sweeps */
     size_t v_room, v0_room;
     /* scratch, [mesh nodes][3] of the largest body */
-    sfem_real *w, *x, *y, *rhs, *work;
-    size_t vector_room, x_room, y_room, rhs_room, work_room;
+    sfem_real *w, *x, *y, *work;
+    size_t vector_room, x_room, y_room, work_room;
     sfem_real *lambda;
     size_t lambda_room;
 };
@@ -33052,8 +33152,9 @@ static sfem_status sfemi_contact_detect_nodes(sfem_contact *c, sfemi_touch *t, s
         sfem_real y0[3], y1[3];
         sfemi_row row;
         if (t->row_of[t->node[i]] >= 0) continue;
-        sfemi_obstacle_to_local(o->from, o->from_axes, t->x0 + 3 * (size_t)i, y0);
         sfemi_obstacle_to_local(o->to, o->to_axes, t->x1 + 3 * (size_t)i, y1);
+        if (o->def.kind == SFEM_OBSTACLE_PLANE && y1[2] >= margin) continue; /* most nodes, of most scenes */
+        sfemi_obstacle_to_local(o->from, o->from_axes, t->x0 + 3 * (size_t)i, y0);
         memset(&row, 0, sizeof row);
         if (!sfemi_contact_meets(o, y0, y1, margin, &row)) continue;
         row.feature = row.node[0] = t->node[i];
@@ -33097,26 +33198,27 @@ static void sfemi_contact_face_at(const sfemi_touch *t, const sfemi_obstacle *o,
     }
 }
 
-/* The least distance of a point of the triangle, and its weights. */
+/* The least distance of a point of the triangle, and its weights; where it surely is not below `goal`, any. A distance
+ * changes by no more than its point moves, which is at most `length` in a step. */
 static sfem_real sfemi_contact_face_depth(const sfemi_obstacle *o, const sfem_real corner[9], sfem_real size,
-                                          sfem_real weight[3])
+                                          sfem_real goal, sfem_real weight[3])
 {
     enum { STEPS = 16 };
-    sfem_real best = 1e300, y[3], n[3], w[3] = {1.0 / 3, 1.0 / 3, 1.0 / 3}, length = size;
+    sfem_real best = 1e300, y[3], n[3] = {0, 0, 0}, at[3] = {0, 0, 0}, down[3] = {0, 0, 0};
+    sfem_real w[3] = {1.0 / 3, 1.0 / 3, 1.0 / 3}, length = size;
     int k, c;
-    for (k = 0; k < STEPS; ++k) {
+    for (k = 0; k < STEPS && (o->safe < 1 || best - length * (STEPS - k) <= goal || k == 0); ++k) {
         sfem_real s;
         for (c = 0; c < 3; ++c) y[c] = w[0] * corner[c] + w[1] * corner[3 + c] + w[2] * corner[6 + c];
         s = sfemi_obstacle_distance(o, y, n);
         if (s < best) {
             best = s;
             memcpy(weight, w, sizeof w);
-        } else { /* back to the best, and shorter steps */
-            length /= 2;
-            for (c = 0; c < 3; ++c) y[c] = weight[0] * corner[c] + weight[1] * corner[3 + c] + weight[2] * corner[6 + c];
-            if (sfemi_obstacle_distance(o, y, n) > 1e299) break;
-        }
-        for (c = 0; c < 3; ++c) y[c] -= length * n[c];
+            memcpy(at, y, sizeof at);
+            memcpy(down, n, sizeof down);
+        } else length /= 2; /* back to the best, and shorter steps */
+        if (best > 1e299) break;
+        for (c = 0; c < 3; ++c) y[c] = at[c] - length * down[c];
         (void)sfemi_shell_nearest(corner, corner + 3, corner + 6, y, w);
     }
     return best;
@@ -33151,8 +33253,8 @@ static int sfemi_contact_face_meets(const sfemi_touch *t, const sfemi_obstacle *
         for (c = 0; c < 3; ++c) middle[c] = (corner[c] + corner[3 + c] + corner[6 + c]) / 3;
         if (o->safe * sfemi_obstacle_distance(o, middle, n) > size) continue;
         for (c = 0; c < 3; ++c) nodes = fmin(nodes, sfemi_obstacle_distance(o, corner + 3 * c, n));
-        s = sfemi_contact_face_depth(o, corner, size, weight);
-        if (s < -1e-3 * t->edge && s < nodes - 0.02 * size) return 1;
+        nodes = fmin(nodes - 0.02 * size, -1e-3 * t->edge);
+        if (sfemi_contact_face_depth(o, corner, size, nodes, weight) < nodes) return 1;
     }
     return 0;
 }
@@ -33322,10 +33424,10 @@ static sfem_status sfemi_contact_detect(sfem_contact *c, sfemi_touch *t, const s
     for (i = 0; i < t->nodes; ++i)
         for (k = 0; k < 3; ++k) {
             const size_t at = 3 * (size_t)t->node[i] + (size_t)k, to = 3 * (size_t)i + (size_t)k;
-            t->x0[to] = rest[at] + u[at];
-            t->x1[to] = t->x0[to] + h * w[at];
-            box[0][k] = fmin(box[0][k], fmin(t->x0[to], t->x1[to]));
-            box[1][k] = fmax(box[1][k], fmax(t->x0[to], t->x1[to]));
+            const sfem_real x0 = t->x0[to] = rest[at] + u[at], x1 = t->x1[to] = x0 + h * w[at];
+            const sfem_real low = x0 < x1 ? x0 : x1, high = x0 < x1 ? x1 : x0;
+            if (low < box[0][k]) box[0][k] = low;
+            if (high > box[1][k]) box[1][k] = high;
         }
     sfemi_contact_follow(c, t, w, h);
     for (i = 0; i < c->obstacles; ++i) {
@@ -33347,6 +33449,17 @@ done:
 
 /* ---- columns ---- */
 
+/* Floats of one column of the node of this number: whole vectors. */
+static size_t sfemi_columns_length(const sfemi_columns *k, sfem_int i)
+{
+    return k->free[i] < 0 ? 0 : (k->deep[k->start[i]] + 3) / 4 * 4;
+}
+
+static size_t sfemi_columns_bytes(const sfemi_columns *k, sfem_int i)
+{
+    return (size_t)k->axes * sfemi_columns_length(k, i) * sizeof(float);
+}
+
 static void sfemi_columns_release(sfem_contact *c, sfemi_touch *t)
 {
     sfemi_columns *k = t->columns, **link = &c->columns;
@@ -33358,13 +33471,17 @@ static void sfemi_columns_release(sfem_contact *c, sfemi_touch *t)
     *link = k->next;
     for (i = 0; k->at && i < k->surface; ++i) {
         if (!k->at[i]) continue;
-        c->column_bytes -= 9 * (size_t)k->surface * sizeof(float);
+        c->column_bytes -= sfemi_columns_bytes(k, i);
         --c->info.columns;
         sfemi_delete(&c->def.allocator, k->at[i]);
     }
     if (k->owned) sfemi_factor_release(k->model, k->factor);
     sfemi_delete(&c->def.allocator, k->at);
     sfemi_delete(&c->def.allocator, k->used);
+    sfemi_delete(&c->def.allocator, k->free);
+    sfemi_delete(&c->def.allocator, k->start);
+    sfemi_delete(&c->def.allocator, k->deep);
+    sfemi_delete(&c->def.allocator, k->mark);
     sfemi_delete(&c->def.allocator, k->node);
     sfemi_delete(&c->def.allocator, k->index);
     sfemi_delete(&c->def.allocator, k);
@@ -33374,6 +33491,18 @@ static void sfemi_columns_release(sfem_contact *c, sfemi_touch *t)
 static int sfemi_columns_fit(const sfemi_columns *k, const sfemi_touch *t)
 {
     return k->surface == t->nodes && t->nodes && memcmp(k->node, t->node, (size_t)t->nodes * sizeof *t->node) == 0;
+}
+
+/* A node among the free ones of the factor; -1: it is held. */
+static sfem_int sfemi_columns_free_node(const sfem_factor *f, sfem_int node)
+{
+    sfem_int low = 0, high = f->free_nodes;
+    while (high - low > 1) {
+        const sfem_int middle = (low + high) / 2;
+        if (f->node[middle] <= node) low = middle;
+        else high = middle;
+    }
+    return high > 0 && f->node[low] == node ? low : -1;
 }
 
 /* For the factor that the body steps with now: those of another body with the same factor and nodes, or none yet. */
@@ -33386,7 +33515,7 @@ static sfem_status sfemi_columns_get(sfem_contact *c, sfemi_touch *t, sfem_error
     const sfem_allocator *al = &c->def.allocator;
     sfemi_columns *k = t->columns;
     sfem_status status = SFEM_OK;
-    sfem_int i, node, surface;
+    sfem_int i, node, surface, supernodes;
     if (k && k->factor == f && k->stamp == stamp) return SFEM_OK;
     sfemi_columns_release(c, t);
     for (k = c->columns; k && !(k->factor == f && k->stamp == stamp && owned && sfemi_columns_fit(k, t));) k = k->next;
@@ -33401,13 +33530,22 @@ static sfem_status sfemi_columns_get(sfem_contact *c, sfemi_touch *t, sfem_error
         k->surface = surface = t->nodes;
         SFEMI_NEW(sfem_int, k->index, al, b->model->mesh.nodes);
         SFEMI_NEW(sfem_int, k->node, al, surface);
-        SFEMI_NEW(float *, k->at, al, surface);
+        SFEMI_NEW(sfem_int, k->free, al, surface);
+        SFEMI_NEW(sfem_int, k->start, al, surface);
         SFEMI_NEW(int64_t, k->used, al, surface);
+        supernodes = f->ldl ? f->ldl->symbolic->supernodes : 1;
+        SFEMI_NEW(size_t, k->deep, al, supernodes);
+        SFEMI_NEW(unsigned char, k->mark, al, supernodes);
+        k->path = f->ldl ? sfemi_path_lengths(f->ldl, k->deep) : 0;
+        k->axes = f->scalar ? 1 : 3;
         for (node = 0; node < b->model->mesh.nodes; ++node) k->index[node] = -1;
         for (i = 0; i < surface; ++i) {
             k->node[i] = t->node[i];
             k->index[t->node[i]] = i;
+            k->free[i] = f->ldl ? sfemi_columns_free_node(f, t->node[i]) : -1;
+            if (k->free[i] >= 0) k->start[i] = sfemi_path_start(f->ldl, k->free[i]);
         }
+        SFEMI_NEW(float *, k->at, al, surface);
         memcpy((void *)&k->factor, (const void *)&f, sizeof f); /* a reference: it is counted, never written to */
         k->owned = owned;
         if (!owned) return SFEM_OK;
@@ -33437,7 +33575,7 @@ static int sfemi_columns_drop_oldest(sfem_contact *c, int64_t before)
     if (!oldest) return 0;
     sfemi_delete(&c->def.allocator, oldest->at[at]);
     oldest->at[at] = NULL;
-    c->column_bytes -= 9 * (size_t)oldest->surface * sizeof(float);
+    c->column_bytes -= sfemi_columns_bytes(oldest, at);
     --c->info.columns;
     return 1;
 }
@@ -33449,36 +33587,41 @@ static sfem_status sfemi_columns_make(sfem_contact *c, const sfemi_touch *t, con
                                       sfem_error *err)
 {
     sfemi_columns *k = t->columns;
-    const sfem_int nodes = k->model->mesh.nodes;
-    const size_t n = 3 * (size_t)nodes, s = 3 * (size_t)k->surface, bytes = 3 * s * sizeof(float);
     sfem_status status = SFEM_OK;
-    sfem_int i, j;
-    int a, r;
-    SFEMI_CONTACT_ROOM(c, c->rhs, c->rhs_room, 3 * (size_t)count * n);
-    SFEMI_CONTACT_ROOM(c, c->work, c->work_room, sfemi_factor_work_size(k->factor, 3 * count));
-    memset(c->rhs, 0, 3 * (size_t)count * n * sizeof *c->rhs);
-    for (i = 0; i < count; ++i)
-        for (a = 0; a < 3; ++a) {
-            const size_t at = 3 * (size_t)k->node[which[i]] + (size_t)a;
-            if (!(k->factor->mask[at / 3] >> a & 1)) c->rhs[(3 * (size_t)i + (size_t)a) * n + at] = 1;
-        }
-    sfemi_factor_solve(k->factor, nodes, 3 * count, c->rhs, c->rhs, c->work, &t->body->exec);
+    sfem_int node[8], i, lanes = 0;
+    float *out[8];
+    int axis[8], a;
+    if (k->factor->ldl)
+        SFEMI_CONTACT_ROOM(c, c->work, c->work_room, sfem_ldl_work_size(k->factor->ldl, SFEMI_SOLVE_BLOCK));
     for (i = 0; i < count; ++i) {
-        float *to;
+        const size_t bytes = sfemi_columns_bytes(k, which[i]);
         while (c->column_bytes + bytes > c->def.cache_bytes && sfemi_columns_drop_oldest(c, c->step)) {}
-        SFEMI_NEW(float, to, &c->def.allocator, 3 * s);
-        k->at[which[i]] = to;
+        SFEMI_NEW(float, k->at[which[i]], &c->def.allocator, bytes / sizeof(float) + 1);
         k->used[which[i]] = c->step;
         c->column_bytes += bytes;
         ++c->info.columns;
         ++c->info.columns_made;
-        for (a = 0; a < 3; ++a)
-            for (j = 0; j < k->surface; ++j)
-                for (r = 0; r < 3; ++r)
-                    to[(size_t)a * s + 3 * (size_t)j + (size_t)r] =
-                        (float)c->rhs[(3 * (size_t)i + (size_t)a) * n + 3 * (size_t)k->node[j] + (size_t)r];
     }
+    for (i = 0; i < count; ++i)
+        for (a = 0; a < k->axes; ++a) {
+            const sfem_int at = which[i];
+            if (k->free[at] >= 0 && (k->axes == 1 || !(k->factor->mask[k->node[at]] >> a & 1))) {
+                node[lanes] = k->free[at];
+                axis[lanes] = a;
+                out[lanes++] = k->at[at] + (size_t)a * sfemi_columns_length(k, at);
+            }
+            if (lanes < 8 && !(lanes && i + 1 == count && a + 1 == k->axes)) continue;
+            sfemi_path_columns(k->factor->ldl, k->deep, lanes, node, axis, c->work, k->mark, out);
+            lanes = 0;
+        }
 done:
+    for (i = 0; status != SFEM_OK && i < count && k->at[which[i]]; ++i) { /* not filled in */
+        sfemi_delete(&c->def.allocator, k->at[which[i]]);
+        k->at[which[i]] = NULL;
+        c->column_bytes -= sfemi_columns_bytes(k, which[i]);
+        --c->info.columns;
+        --c->info.columns_made;
+    }
     return status;
 }
 
@@ -33488,21 +33631,23 @@ static void sfemi_columns_trim(sfem_contact *c)
     while (c->column_bytes > c->def.cache_bytes && sfemi_columns_drop_oldest(c, c->step + 1)) {}
 }
 
-/* A block of 8 right sides takes 32 multiply-adds for a number in L. */
+/* A block of 8 right sides takes 8 multiply-adds for a number in L along its way, and products follow. */
 static sfem_real sfemi_columns_cost(const sfemi_columns *k, sfem_int nodes)
 {
-    return 32 * (sfem_real)sfem_ldl_get_info(k->factor->ldl).nnz * (sfem_real)((3 * nodes + 7) / 8);
+    return 16 * k->path * (sfem_real)((k->axes * nodes + 7) / 8);
 }
 
 /* How many nodes' columns may be made early now. */
 static sfem_int sfemi_columns_early(const sfem_contact *c, const sfemi_columns *k)
 {
-    const size_t bytes = 9 * (size_t)k->surface * sizeof(float);
-    const size_t room = c->def.cache_bytes > c->column_bytes ? (c->def.cache_bytes - c->column_bytes) / bytes : 0;
-    sfem_int most = SFEMI_COLUMN_BATCH;
+    const size_t room = c->def.cache_bytes > c->column_bytes ? c->def.cache_bytes - c->column_bytes : 0;
+    size_t bytes = 1;
+    sfem_int most = SFEMI_COLUMN_BATCH, i;
     if (!(c->early > 0) || !k->factor->ldl) return 0;
+    for (i = 0; i < k->surface; ++i)
+        if (sfemi_columns_bytes(k, i) > bytes) bytes = sfemi_columns_bytes(k, i);
     while (most > 2 && sfemi_columns_cost(k, most) > c->early) --most;
-    return room < (size_t)most ? (sfem_int)room : most;
+    return room / bytes < (size_t)most ? (sfem_int)(room / bytes) : most;
 }
 
 /* Makes columns of nodes that will touch soon, as they and the obstacles move now. What is in no result: columns are the
@@ -33519,10 +33664,10 @@ static sfem_status sfemi_columns_expect(sfem_contact *c, sfemi_touch *t, sfem_re
     for (i = 0; i < t->nodes; ++i)
         for (k = 0; k < 3; ++k) {
             const size_t at = 3 * (size_t)t->node[i] + (size_t)k, to = 3 * (size_t)i + (size_t)k;
-            t->x0[to] = rest[at] + u[at];
-            t->x1[to] = t->x0[to] + ahead * w[at];
-            box[0][k] = fmin(box[0][k], fmin(t->x0[to], t->x1[to]));
-            box[1][k] = fmax(box[1][k], fmax(t->x0[to], t->x1[to]));
+            const sfem_real x0 = t->x0[to] = rest[at] + u[at], x1 = t->x1[to] = x0 + ahead * w[at];
+            const sfem_real low = x0 < x1 ? x0 : x1, high = x0 < x1 ? x1 : x0;
+            if (low < box[0][k]) box[0][k] = low;
+            if (high > box[1][k]) box[1][k] = high;
         }
     for (j = 0; j < c->obstacles && most != 0 && count != most; ++j) {
         sfemi_obstacle o = c->obstacle[j];
@@ -33595,43 +33740,144 @@ static size_t sfemi_contact_stride(sfem_int count)
     return (3 * (size_t)count + 3) / 4 * 4;
 }
 
-/* The compact G of one body's nodes, which stand in c->node from `first` on; that of the last system where it is the same. */
+/* sum [3][3] of products of the columns a and b [axes][length], n numbers each. */
+static void sfemi_contact_products_0(size_t n, int axes, const float *a, size_t length_a, const float *b, size_t length_b,
+                                     sfem_real *sum)
+{
+    int r, c;
+    size_t i;
+    for (r = 0; r < axes; ++r)
+        for (c = 0; c < axes; ++c) {
+            const float *x = a + (size_t)r * length_a, *y = b + (size_t)c * length_b;
+            sfem_real s = 0;
+            for (i = 0; i < n; ++i) s += (sfem_real)x[i] * (sfem_real)y[i];
+            sum[3 * r + c] = s;
+        }
+}
+
+#if SFEMI_X86
+SFEMI_TARGET_1 static void sfemi_contact_products_1(size_t n, int axes, const float *a, size_t length_a, const float *b,
+                                                    size_t length_b, sfem_real *sum)
+{
+    __m256d s[9];
+    size_t i, j;
+    int k;
+    if (axes == 1) {
+        sfemi_contact_products_0(n, axes, a, length_a, b, length_b, sum);
+        return;
+    }
+    for (k = 0; k < 9; ++k) s[k] = _mm256_setzero_pd();
+    for (i = 0; i + 4 <= n; i += 4) {
+        const __m256d x0 = _mm256_cvtps_pd(_mm_loadu_ps(a + i)), y0 = _mm256_cvtps_pd(_mm_loadu_ps(b + i));
+        const __m256d x1 = _mm256_cvtps_pd(_mm_loadu_ps(a + length_a + i));
+        const __m256d y1 = _mm256_cvtps_pd(_mm_loadu_ps(b + length_b + i));
+        const __m256d x2 = _mm256_cvtps_pd(_mm_loadu_ps(a + 2 * length_a + i));
+        const __m256d y2 = _mm256_cvtps_pd(_mm_loadu_ps(b + 2 * length_b + i));
+        s[0] = _mm256_fmadd_pd(x0, y0, s[0]);
+        s[1] = _mm256_fmadd_pd(x0, y1, s[1]);
+        s[2] = _mm256_fmadd_pd(x0, y2, s[2]);
+        s[3] = _mm256_fmadd_pd(x1, y0, s[3]);
+        s[4] = _mm256_fmadd_pd(x1, y1, s[4]);
+        s[5] = _mm256_fmadd_pd(x1, y2, s[5]);
+        s[6] = _mm256_fmadd_pd(x2, y0, s[6]);
+        s[7] = _mm256_fmadd_pd(x2, y1, s[7]);
+        s[8] = _mm256_fmadd_pd(x2, y2, s[8]);
+    }
+    for (k = 0; k < 9; ++k) {
+        sfem_real part[4];
+        _mm256_storeu_pd(part, s[k]);
+        sum[k] = (part[0] + part[1]) + (part[2] + part[3]);
+        for (j = i; j < n; ++j)
+            sum[k] += (sfem_real)a[(size_t)(k / 3) * length_a + j] * (sfem_real)b[(size_t)(k % 3) * length_b + j];
+    }
+}
+#define sfemi_contact_products_2 sfemi_contact_products_1
+#endif
+
+typedef void (*sfemi_contact_products)(size_t n, int axes, const float *a, size_t length_a, const float *b,
+                                       size_t length_b, sfem_real *sum);
+
+/* (A0^-1) between the nodes of the numbers i and j, 3x3: rows of i. The same bits, transposed, for j and i. */
+static void sfemi_contact_entry(const sfemi_columns *k, sfem_int i, sfem_int j, sfem_real block[9])
+{
+#define SFEMI_CONTACT_PRODUCTS(path) sfemi_contact_products_##path
+    static const sfemi_contact_products products[] = SFEMI_PATHS(SFEMI_CONTACT_PRODUCTS);
+#undef SFEMI_CONTACT_PRODUCTS
+    const sfem_factor *f = k->factor;
+    int a, b;
+    memset(block, 0, 9 * sizeof *block);
+    if (k->free[i] >= 0 && k->free[j] >= 0) {
+        const size_t n = sfemi_path_shared(f->ldl, k->deep, k->start[i], k->start[j]);
+        products[sfemi_path()](n, k->axes, k->at[i], sfemi_columns_length(k, i), k->at[j], sfemi_columns_length(k, j), block);
+        if (k->axes == 1) block[4] = block[8] = block[0];
+    } else if (!f->ldl && i == j) {
+        const sfem_int at = sfemi_columns_free_node(f, k->node[i]);
+        for (a = 0; at >= 0 && f->inverse && a < 3; ++a) block[4 * a] = f->inverse[3 * (size_t)at + (size_t)a];
+    }
+    for (a = 0; a < 3; ++a)
+        for (b = 0; b < 3; ++b)
+            if ((f->mask[k->node[i]] >> a & 1) || (f->mask[k->node[j]] >> b & 1)) block[3 * a + b] = 0;
+}
+
+/* Are columns of the nodes from `first` on there? Only where the compact G is not that of the last system. */
+static sfem_status sfemi_contact_get_columns(sfem_contact *c, const sfemi_touch *t, sfem_int first, sfem_int count,
+                                             sfem_error *err)
+{
+    sfem_status status = SFEM_OK;
+    sfem_int i;
+    for (i = 0; i < count && status == SFEM_OK; i += SFEMI_COLUMN_BATCH)
+        status = sfemi_columns_need(c, t, first + i, count - i < SFEMI_COLUMN_BATCH ? count - i : SFEMI_COLUMN_BATCH, err);
+    return status;
+}
+
+/* The compact G of one body's nodes, which stand in c->node from `first` on: what the last system had of it, and products
+ * of columns. */
 static sfem_status sfemi_contact_gather(sfem_contact *c, sfemi_touch *t, sfem_int first, sfem_int count, sfem_error *err)
 {
     const sfemi_columns *k = t->columns;
-    const size_t s = 3 * (size_t)k->surface, stride = sfemi_contact_stride(count);
+    const size_t stride = sfemi_contact_stride(count), before = sfemi_contact_stride(t->g_nodes);
+    const sfem_int known = t->g_of == k->made ? t->g_nodes : 0;
     sfem_status status = SFEM_OK;
     sfem_int i, j;
-    float *g;
-    size_t a;
-    int same = t->g_of == k->made && t->g_nodes == count;
+    size_t room;
+    float *other;
+    int same = known == count, a, b;
     for (i = 0; same && i < count; ++i) same = t->g_node[i] == c->node[first + i].node;
+    for (i = 0; i < count; ++i) k->used[k->index[c->node[first + i].node]] = c->step;
     if (!same) {
+        SFEMI_CONTACT_ROOM(c, t->g_next, t->g_next_room, 3 * (size_t)count * stride);
+        SFEMI_TRY(sfemi_contact_get_columns(c, t, first, count, err));
+        memset(t->g_next, 0, 3 * (size_t)count * stride * sizeof *t->g_next);
+        for (i = 0; i < known; ++i) t->row_of[t->g_node[i]] = i;
+        for (i = 0; i < count; ++i)
+            for (j = i; j < count; ++j) {
+                const sfem_int node[2] = {c->node[first + i].node, c->node[first + j].node};
+                const sfem_int at[2] = {t->row_of[node[0]], t->row_of[node[1]]};
+                sfem_real block[9];
+                if (at[0] < 0 || at[1] < 0) sfemi_contact_entry(k, k->index[node[0]], k->index[node[1]], block);
+                for (a = 0; a < 3; ++a)
+                    for (b = 0; b < 3; ++b) {
+                        const float one = at[0] < 0 || at[1] < 0
+                                              ? (float)block[3 * a + b]
+                                              : t->g[(3 * (size_t)at[0] + (size_t)a) * before + 3 * (size_t)at[1] + (size_t)b];
+                        t->g_next[(3 * (size_t)i + (size_t)a) * stride + 3 * (size_t)j + (size_t)b] = one;
+                        t->g_next[(3 * (size_t)j + (size_t)b) * stride + 3 * (size_t)i + (size_t)a] = one;
+                    }
+            }
+        for (i = 0; i < known; ++i) t->row_of[t->g_node[i]] = -1;
         t->g_of = 0;
-        SFEMI_CONTACT_ROOM(c, t->g, t->g_room, 3 * (size_t)count * stride);
         SFEMI_CONTACT_LIST(c, t->g_node, t->g_node_room, count);
+        other = t->g;
+        t->g = t->g_next;
+        t->g_next = other;
+        room = t->g_room;
+        t->g_room = t->g_next_room;
+        t->g_next_room = room;
     }
-    for (i = 0, g = t->g; i < count; ++i, g += 3 * stride) {
-        const sfem_int at = k->index[c->node[first + i].node], left = count - i;
-        if (!same && i % SFEMI_COLUMN_BATCH == 0) {
-            sfemi_columns_trim(c);
-            SFEMI_TRY(sfemi_columns_need(c, t, first + i, left < SFEMI_COLUMN_BATCH ? left : SFEMI_COLUMN_BATCH, err));
-        }
+    for (i = 0; i < count; ++i) {
         c->node[first + i].first = first;
         c->node[first + i].count = count;
-        c->node[first + i].g = g;
-        k->used[at] = c->step;
-        for (a = 0; !same && a < 3; ++a) {
-            const float *from = k->at[at] + a * s;
-            float *to = g + a * stride;
-            for (j = 0; j < count; ++j) {
-                const float *block = from + 3 * (size_t)k->index[c->node[first + j].node];
-                to[3 * j] = block[0];
-                to[3 * j + 1] = block[1];
-                to[3 * j + 2] = block[2];
-            }
-            for (j = 3 * count; (size_t)j < stride; ++j) to[j] = 0;
-        }
+        c->node[first + i].g = t->g + 3 * (size_t)i * stride;
         t->g_node[i] = c->node[first + i].node;
     }
     sfemi_columns_trim(c);
@@ -33920,6 +34166,14 @@ static void sfemi_contact_trial_velocity(sfem_contact *c, const sfemi_touch *t)
     for (i = 0; i < 3 * (size_t)b->model->mesh.nodes; ++i) c->w[i] = base[i] + d * b->acc[i];
 }
 
+/* J: smaller changes of impulses are left to the next step, for each takes a solve. By more than the tolerance, to which
+ * sweeps go: what these leave would take one in every step of a body at rest. In a fallback, which has to converge, less. */
+static sfem_real sfemi_contact_negligible(const sfem_contact *c, const sfemi_touch *t)
+{
+    const sfem_real part = c->def.tolerance * c->def.tolerance * t->size;
+    return t->fallback ? fmin(part, 1e-3 * t->tolerance) : 10 * part;
+}
+
 /* The cones of an island with its bodies at w' - dir, or in the trial at c->w (one body). Leaves the rows' changes,
  * and in each body what energy they are, and all impulses. */
 static sfem_status sfemi_contact_press(sfem_contact *c, sfemi_island island, int trial, sfem_error *err)
@@ -34006,12 +34260,6 @@ static sfem_real sfemi_contact_response(const sfemi_touch *t, const sfem_real *b
                 does += t->row[i].weight[k] * t->row[i].change[a] * (after[at] - (before ? before[at] : 0));
             }
     return t->expected > 0 ? does / t->expected : 1;
-}
-
-/* J: changes of impulses below the tolerance are left to the next step. */
-static sfem_real sfemi_contact_negligible(const sfem_contact *c, const sfemi_touch *t)
-{
-    return c->def.tolerance * c->def.tolerance * t->size;
 }
 
 /* ---- the trial ---- */
@@ -34225,7 +34473,7 @@ static void sfemi_contact_correct_body(sfem_contact *c, sfemi_touch *t)
     sfemi_safeguard *g = &b->safeguard;
     sfem_real length = 0, left;
     sfem_int k;
-    if ((t->change > sfemi_contact_negligible(c, t) || t->change > 1e-3 * t->tolerance) && !sfemi_contact_redirect(c, t)) {
+    if (t->change > sfemi_contact_negligible(c, t) && !sfemi_contact_redirect(c, t)) {
         ++g->corrections;
         return;
     }
@@ -35193,6 +35441,7 @@ static void sfemi_contact_free_touch(sfem_contact *c, sfemi_touch *t)
     sfemi_delete(al, t->row);
     sfemi_delete(al, t->owed);
     sfemi_delete(al, t->g);
+    sfemi_delete(al, t->g_next);
     sfemi_delete(al, t->g_node);
     memset(t, 0, sizeof *t);
 }
@@ -35215,7 +35464,6 @@ SFEM_DEF void sfem_contact_free(sfem_contact *c)
     sfemi_delete(&al, c->y);
     sfemi_delete(&al, c->w);
     sfemi_delete(&al, c->x);
-    sfemi_delete(&al, c->rhs);
     sfemi_delete(&al, c->work);
     sfemi_delete(&al, c->lambda);
     sfemi_delete(&al, c);
@@ -35499,7 +35747,7 @@ SFEM_DEF sfem_contact_info sfem_contact_get_info(const sfem_contact *c)
     sfem_int i;
     SFEM_ASSERT(c);
     info = c->info;
-    info.bytes = sizeof *c + c->column_bytes + (c->vector_room + c->x_room + c->y_room + c->v0_room + c->rhs_room + c->work_room + c->v_room +
+    info.bytes = sizeof *c + c->column_bytes + (c->vector_room + c->x_room + c->y_room + c->v0_room + c->work_room + c->v_room +
                  c->lambda_room) * sizeof(sfem_real) +
                  (size_t)c->obstacle_room * sizeof *c->obstacle + (size_t)c->touch_room * sizeof *c->touch +
                  (size_t)c->point_room * sizeof *c->point + (size_t)c->list_room * sizeof(void *) +
@@ -35507,7 +35755,7 @@ SFEM_DEF sfem_contact_info sfem_contact_get_info(const sfem_contact *c)
     for (i = 0; i < c->touches; ++i) {
         const sfemi_touch *t = c->touch + i;
         if (!t->used) continue;
-        info.bytes += t->g_room * sizeof(float) + (size_t)t->g_node_room * sizeof(sfem_int);
+        info.bytes += (t->g_room + t->g_next_room) * sizeof(float) + (size_t)t->g_node_room * sizeof(sfem_int);
         info.bytes += (size_t)t->room * sizeof *t->row + (size_t)t->owed_room * sizeof(sfem_real) +
                       6 * (size_t)t->nodes * sizeof(sfem_real) +
                       (size_t)(t->nodes + 3 * t->triangles + t->body->model->mesh.nodes) * sizeof(sfem_int);
