@@ -153,8 +153,7 @@
  *     SFEM_ENABLE_REDUCED alone plays reduced models that were saved; with SFEM_ENABLE_MODES it makes them
  *
  * LIMITS. 4-node tetrahedra: linear ones, which lock, or smooth ones, which do not (sfem_tet). Node and tet counts below
- * 2^31. Bodies touch obstacles; they do not touch each other or themselves, and modal bodies touch
- * nothing. No remeshing.
+ * 2^31. Bodies touch obstacles; they do not touch each other or themselves. No remeshing.
  */
 #ifndef SOFTFEM_H
 #define SOFTFEM_H
@@ -32253,7 +32252,9 @@ typedef struct sfemi_row {
     sfem_real least;
     sfem_real impulse[3], force[3]; /* N s of this step, N of the last one taken; in space */
     sfem_real change[3]; /* of the impulse in the last system */
-    sfem_real struck[3]; /* N s that a modal body takes at the start of the step, beside the impulse over it */
+    sfem_real struck[3]; /* N s that a modal body takes at the start of the step, beside the impulse over it; */
+    sfem_real stuck[3];  /* of these, by friction of the last step's force; */
+    int slides;          /* that does not suffice */
     sfem_real position[3], gap;     /* after the step */
     /* in a system: */
     sfem_int at[SFEMI_CONTACT_PARTS];      /* numbers of its nodes there */
@@ -32280,9 +32281,10 @@ typedef struct sfemi_touch { /* a body */
     int used;
     sfem_body *body;                         /* NULL: it is a modal one, of which only >>impact knows more: */
     const struct sfemi_touch_method *method; /* else NULL */
-    struct sfemi_impact *impact;
+    void *part;
     sfem_int *place_of;        /* [mesh_nodes] places in `node`, or -1; of a modal body only */
     sfem_int mesh_nodes;
+    size_t own_bytes;          /* of that part */
     sfem_contact_surface contact;
     sfem_int nodes, *node;     /* those that may touch */
     sfem_int triangles, *tri;  /* of the surface */
@@ -35557,7 +35559,7 @@ SFEM_DEF sfem_contact_info sfem_contact_get_info(const sfem_contact *c)
     for (i = 0; i < c->touches; ++i) {
         const sfemi_touch *t = c->touch + i;
         if (!t->used) continue;
-        info.bytes += t->g_room * sizeof(float) + (size_t)t->g_node_room * sizeof(sfem_int);
+        info.bytes += t->own_bytes + t->g_room * sizeof(float) + (size_t)t->g_node_room * sizeof(sfem_int);
         info.bytes += (size_t)t->room * sizeof *t->row + (size_t)t->owed_room * sizeof(sfem_real) +
                       6 * (size_t)t->nodes * sizeof(sfem_real) +
                       (size_t)(t->nodes + 3 * t->triangles + (t->method ? 2 : 1) * t->mesh_nodes) * sizeof(sfem_int);
@@ -41315,22 +41317,28 @@ SFEM_DEF sfem_modal_info sfem_modal_get_info(const sfem_modal *b)
  *   2. the step without contact; rows of what it meets
  *   3. impacts: v = J S q' at the start of the step, v + J S M^-1 S J^T l1 may close gaps, no more. Trapezoidal steps
  *      would return the rest of it with the sign changed: a body at rest on the floor would ring
- *   4. forces, constant over the step, for the gaps at its end: the step with them, cones, the step again ..
- * The response to l1 is S^2/M, to l2 it is P/h^2, with S = 2 M P/h^2: 1/(1 + (omega h)^2/4) of Newmark's oscillators. With
- * that (l1, J S q') and (l2/h, J dq) are pairs of work: l1.(v + v+)/2 and l2.dx/h are what the energy changes by, and
- * neither is positive at obstacles at rest. Friction of 4 acts on what is about the velocity at the end, half of it: dx/h
- * - v/2. On dx/h it would return v with the sign changed, as the gaps would.
+ *   4. what rings sideways is stopped likewise, by less friction than the last step's forces allow. What slides is not
+ *   5. forces, constant over the step, for the gaps at its end: the step with them, cones, the step again .. Their friction
+ *      is what the cone has left of that of 4
+ * The response to l1, of 3 and 4, is S^2/M, to l2 it is P/h^2, with S = 2 M P/h^2: 1/(1 + (omega h)^2/4) of Newmark's
+ * oscillators. With that (l1, J S q') and (l2/h, J dq) are pairs of work: l1.(v + v+)/2 and l2.dx/h are what the energy
+ * changes by, and neither is positive at obstacles at rest.
  *
  * Literature: Deuflhard, Krause, Ertel 2008, "A contact-stabilized Newmark method for dynamical contact problems"; Kane,
  * Repetto, Ortiz, Marsden 1999.
  * ============================================================================================ */
 
-typedef enum sfemi_impact_kind { SFEMI_IMPACT_PUSH, SFEMI_IMPACT_STRIKE, SFEMI_IMPACT_FORCE } sfemi_impact_kind;
+typedef enum sfemi_impact_kind {
+    SFEMI_IMPACT_PUSH,
+    SFEMI_IMPACT_STRIKE,
+    SFEMI_IMPACT_STICK,
+    SFEMI_IMPACT_FORCE
+} sfemi_impact_kind;
 
 typedef struct sfemi_impact {
     sfem_modal *modal;
     sfem_reduced_view *view;  /* of the touch's nodes */
-    char *before, *start;     /* [small_bytes] its states: before the step; from where 4 starts */
+    char *before, *start;     /* [small_bytes] its states: before the step; from where 5 starts */
     int stepped;              /* it is in a step: `before` is good */
     sfem_real *share;         /* [stride] S */
     sfem_real *strike, *force; /* [stride] S^2/M, P/h^2 */
@@ -41346,6 +41354,8 @@ typedef struct sfemi_impact {
     sfem_real middle[3], half[3]; /* the box of its nodes at rest */
     sfem_real work, moved;     /* J, of the step */
 } sfemi_impact;
+
+static sfemi_impact *sfemi_impact_part(const sfemi_touch *t) { return (sfemi_impact *)t->part; }
 
 /* ---- where it is ---- */
 
@@ -41472,10 +41482,10 @@ static void sfemi_impact_frame_block(const sfemi_impact *m, const sfem_real *fro
 /* The compact G of its nodes, of the present kind of system. */
 static sfem_status sfemi_impact_gather(sfem_contact *c, sfemi_touch *t, sfem_int first, sfem_int count, sfem_error *err)
 {
-    sfemi_impact *m = t->impact;
+    sfemi_impact *m = sfemi_impact_part(t);
     const sfem_modal *b = m->modal;
     const size_t stride = sfemi_contact_stride(count), s3 = 3 * b->stride;
-    const int64_t key = 4 * c->step + 1 + (int64_t)m->kind;
+    const int64_t key = 4 * c->step + 1 + (m->kind == SFEMI_IMPACT_STICK ? (int64_t)SFEMI_IMPACT_STRIKE : (int64_t)m->kind);
     sfem_status status = SFEM_OK;
     sfem_int i, j;
     size_t k;
@@ -41518,6 +41528,7 @@ static sfem_status sfemi_impact_gather(sfem_contact *c, sfemi_touch *t, sfem_int
     }
     t->g_nodes = count;
     t->g_of = key;
+    t->own_bytes = sizeof *m + 2 * b->small_bytes + (4 * b->stride + m->row_room + m->arm_room) * sizeof(sfem_real);
 done:
     return status;
 }
@@ -41551,43 +41562,62 @@ static sfem_real sfemi_impact_gap(const sfem_contact *c, const sfemi_touch *t, c
     return gap < 0 ? fmin(0.0, gap + row->compliance * sfemi_dot3(row->axes, row->force)) : gap;
 }
 
+/* m: penetration that is not pushed out. */
+static sfem_real sfemi_impact_slop(const sfemi_touch *t) { return 1e-4 * t->edge; }
+
 /* A row of the system: by >>contact, but for what it is pushed by, how it leaves, and what friction acts on. It gives by
  * a part of its own compliance: rows that few modes contradict would else have no solution. */
 static void sfemi_impact_set_up_row(const sfem_contact *c, const sfemi_touch *t, sfemi_row *row, sfem_real h)
 {
-    const sfemi_impact *m = t->impact;
+    const sfemi_impact *m = sfemi_impact_part(t);
     const sfem_real gap = sfemi_impact_gap(c, t, row), give = 1e-4, *g = m->modal->head->gravity;
     const sfem_real e = fmax(t->contact.restitution, c->obstacle[row->obstacle].def.contact.restitution);
     sfem_real v[3] = {0, 0, 0}, cofactor[9], det;
     int k, a;
-    row->pushed = gap < 0;
-    row->least = fmin(0.0, gap);
+    row->pushed = gap < -sfemi_impact_slop(t);
+    row->least = fmin(0.0, gap + sfemi_impact_slop(t)); /* what is less comes back at once */
     row->bounce = 0;
-    for (k = 0; m->kind != SFEMI_IMPACT_PUSH && k < row->parts; ++k) {
-        sfem_real part[3];
-        sfemi_impact_velocity(m, row->at[k], part);
-        for (a = 0; a < 3; ++a) v[a] += row->weight[k] * part[a];
-    }
+    for (k = 0; m->kind == SFEMI_IMPACT_STRIKE && e > 0 && k < row->parts; ++k)
+        for (a = 0; a < 3; ++a) v[a] += row->weight[k] * c->v[3 * (size_t)row->at[k] + (size_t)a];
     for (a = 0; a < 3; ++a) v[a] -= row->speed[a];
     if (m->kind == SFEMI_IMPACT_STRIKE && e > 0 && -sfemi_dot3(row->axes, v) > 2 * h * sqrt(sfemi_dot3(g, g)))
         row->bounce = -e * sfemi_dot3(row->axes, v);
     sfemi_contact_set_up_row(c, t, row, h, h);
     if (m->kind == SFEMI_IMPACT_PUSH) {
-        row->bias[0] = gap < 0 ? -fmin(c->def.push_share * -gap / h, c->def.push_speed) : gap / h;
+        row->bias[0] = row->pushed ? -fmin(c->def.push_share * -gap / h, c->def.push_speed) : fmax(0.0, gap / h);
         row->bias[1] = row->bias[2] = 0;
     }
-    for (a = 1; m->kind == SFEMI_IMPACT_FORCE && a < 3; ++a) row->bias[a] -= sfemi_dot3(row->axes + 3 * a, v) / 2;
-    row->soft += give * row->d[0];
-    row->d[0] *= 1 + give;
+    if (m->kind == SFEMI_IMPACT_STICK) { /* the normal part is given, and stays */
+        row->d[0] *= 1e100;
+        row->d[1] = row->d[2] = row->d[3] = row->d[6] = row->soft = 0;
+        row->l[0] = fmax(0.0, h * sfemi_dot3(row->axes, row->force));
+    } else {
+        row->soft += give * row->d[0];
+        row->d[0] *= 1 + give;
+    }
     sfemi_cofactor3(row->d, cofactor);
     det = sfemi_dot3(row->d, cofactor);
     for (a = 0; a < 9; ++a) row->inverse[a] = det > 0 ? cofactor[a % 3 * 3 + a / 3] / det : 0;
 }
 
-/* The cones, from the rows' impulses: leaves their changes. Returns in t->change and t->size what energy they are. */
+/* Friction that is given its normal part does not change that. */
+static void sfemi_impact_take_tangent(sfemi_touch *t)
+{
+    const sfem_real most = 0.9; /* of what friction may be */
+    sfem_int i;
+    for (i = 0; i < t->rows; ++i) {
+        sfemi_row *row = t->row + i;
+        const sfem_real bound = most * row->friction * row->l[0];
+        row->slides |= row->l[1] * row->l[1] + row->l[2] * row->l[2] > bound * bound;
+        row->l[0] = 0;
+    }
+}
+
+/* The cones, from the rows' impulses: leaves their changes; in t->change and t->size what energy these and the impulses
+ * are. Of changes that a few modes do not see, of rows that depend on each other, there is none. */
 static sfem_status sfemi_impact_press(sfem_contact *c, sfemi_touch *t, sfemi_impact_kind kind, sfem_real h, sfem_error *err)
 {
-    sfemi_impact *m = t->impact;
+    sfemi_impact *m = sfemi_impact_part(t);
     sfem_status status = SFEM_OK;
     sfemi_island island;
     sfem_int count, i;
@@ -41595,23 +41625,24 @@ static sfem_status sfemi_impact_press(sfem_contact *c, sfemi_touch *t, sfemi_imp
     island.first = (sfem_int)(t - c->touch);
     island.count = 1;
     m->kind = kind;
-    m->response = kind == SFEMI_IMPACT_STRIKE ? m->strike : m->force;
-    m->part = kind == SFEMI_IMPACT_STRIKE ? 1 : 0.5;
+    m->response = kind == SFEMI_IMPACT_STRIKE || kind == SFEMI_IMPACT_STICK ? m->strike : m->force;
+    m->part = kind == SFEMI_IMPACT_STRIKE || kind == SFEMI_IMPACT_STICK ? 1 : 0.5;
     t->change = t->size = 0;
     SFEMI_TRY(sfemi_contact_assemble(c, island, &count, err));
     for (i = 0; i < c->nodes; ++i) {
         const size_t at = 3 * (size_t)t->place_of[c->node[i].node];
-        if (kind == SFEMI_IMPACT_STRIKE) sfemi_impact_velocity(m, i, c->v + 3 * (size_t)i);
+        if (m->part == 1) sfemi_impact_velocity(m, i, c->v + 3 * (size_t)i);
         else
             for (a = 0; a < 3; ++a)
                 c->v[3 * i + a] = kind == SFEMI_IMPACT_PUSH ? 0 : (t->x1[at + (size_t)a] - t->x0[at + (size_t)a]) / h;
     }
     for (i = 0; i < t->rows; ++i) {
         sfemi_impact_set_up_row(c, t, t->row + i, h);
-        if (kind == SFEMI_IMPACT_PUSH) t->row[i].friction = 0;
+        if (kind == SFEMI_IMPACT_PUSH || (kind == SFEMI_IMPACT_STICK && t->row[i].slides)) t->row[i].friction = 0;
     }
     memcpy(c->v0, c->v, 3 * (size_t)c->nodes * sizeof *c->v);
     sfemi_contact_sweep(c, count);
+    if (kind == SFEMI_IMPACT_STICK) sfemi_impact_take_tangent(t);
     for (i = 0; i < t->rows; ++i) {
         sfemi_row *row = t->row + i;
         sfem_real dl[3];
@@ -41620,11 +41651,16 @@ static sfem_status sfemi_impact_press(sfem_contact *c, sfemi_touch *t, sfemi_imp
             for (a = 0; a < 3; ++a) l += row->axes[3 * a + k] * row->l[a];
             row->change[k] = l - row->impulse[k];
         }
-        for (a = 0; a < 3; ++a) dl[a] = sfemi_dot3(row->axes + 3 * a, row->change);
         for (a = 0; a < 3; ++a) {
-            t->change += dl[a] * sfemi_dot3(row->d + 3 * a, dl) / 2;
+            dl[a] = sfemi_dot3(row->axes + 3 * a, row->change);
             t->size += row->l[a] * sfemi_dot3(row->d + 3 * a, row->l) / 2;
         }
+        for (k = 0; k < row->parts; ++k)
+            for (a = 0; a < 3; ++a) {
+                const size_t at = 3 * (size_t)row->at[k];
+                const sfem_real dv[3] = {c->v[at] - c->v0[at], c->v[at + 1] - c->v0[at + 1], c->v[at + 2] - c->v0[at + 2]};
+                t->change += dl[a] * sfemi_dot3(row->rotated[k] + 3 * a, dv) / 2;
+            }
         sfemi_contact_rate(c, t, row);
     }
 done:
@@ -41634,7 +41670,7 @@ done:
 /* m->load = J^T of the rows' changes or impulses, and what they do to the frame. */
 static void sfemi_impact_transpose(const sfemi_touch *t, int change)
 {
-    sfemi_impact *m = t->impact;
+    sfemi_impact *m = sfemi_impact_part(t);
     const sfem_modal *b = m->modal;
     sfem_int i;
     int k, a;
@@ -41720,8 +41756,10 @@ static void sfemi_impact_shift_mode(sfem_modal *b, size_t k, sfem_real dq, sfem_
 
 /* Contact makes no energy: what there is beyond `allowed` is taken from the velocities, and where these do not have it, the
  * modes stay where they were. before: the energy at the start. */
-static void sfemi_impact_bound(sfem_contact *c, sfemi_impact *m, sfem_real before, sfem_real allowed)
+static void sfemi_impact_bound(sfem_contact *c, const sfemi_touch *t, sfem_real before, sfem_real allowed)
 {
+    sfemi_impact *m = sfemi_impact_part(t);
+    const sfem_real rounding = 1e-10 * t->size; /* cones are solved to 1e-6, with floats */
     sfem_modal *b = m->modal;
     sfemi_modal_head *head = b->head;
     const sfem_real *q = sfemi_impact_of(m, m->start, b->q);
@@ -41729,7 +41767,7 @@ static void sfemi_impact_bound(sfem_contact *c, sfemi_impact *m, sfem_real befor
     const sfem_real energy = sfemi_impact_energy(m, &kinetic), excess = energy - before - sfemi_impact_load_work(m) - allowed;
     size_t k;
     int a;
-    if (head->handles > 0 || !(excess > 1e-12 * (energy + before))) return;
+    if (head->handles > 0 || !(excess > 1e-12 * (energy + before) + rounding)) return;
     scale = kinetic > excess ? sqrt(1 - excess / kinetic) : 0;
     for (k = 0; k < b->m; ++k)
         sfemi_impact_shift_mode(b, k, scale > 0 ? 0 : q[k] - b->q[k], (scale - 1) * b->v[k]);
@@ -41744,7 +41782,7 @@ static void sfemi_impact_bound(sfem_contact *c, sfemi_impact *m, sfem_real befor
 /* The step from its start, with the rows' impulses as forces. */
 static sfem_status sfemi_impact_run(sfemi_touch *t, sfem_real h, sfem_error *err)
 {
-    sfemi_impact *m = t->impact;
+    sfemi_impact *m = sfemi_impact_part(t);
     sfem_modal *b = m->modal;
     sfem_status status;
     size_t k;
@@ -41796,7 +41834,7 @@ done:
 /* Moves what is inside out of it, by a part of the way. */
 static sfem_status sfemi_impact_push(sfem_contact *c, sfemi_touch *t, sfem_real h, sfem_error *err)
 {
-    sfemi_impact *m = t->impact;
+    sfemi_impact *m = sfemi_impact_part(t);
     sfem_modal *b = m->modal;
     const sfem_real mass = b->reduced->head->mass;
     sfem_status status = SFEM_OK;
@@ -41809,7 +41847,7 @@ static sfem_status sfemi_impact_push(sfem_contact *c, sfemi_touch *t, sfem_real 
         deepest = fmax(deepest, -sfemi_impact_gap(c, t, t->row + i));
     }
     sfemi_impact_set_out(m);
-    if (!(deepest > 1e-4 * t->edge && c->def.push_speed > 0 && c->def.push_share > 0)) return SFEM_OK;
+    if (!(deepest > sfemi_impact_slop(t) && c->def.push_speed > 0 && c->def.push_share > 0)) return SFEM_OK;
     before = sfemi_impact_energy(m, &kinetic);
     SFEMI_TRY(sfemi_impact_press(c, t, SFEMI_IMPACT_PUSH, h, err));
     sfemi_impact_transpose(t, 1);
@@ -41832,24 +41870,22 @@ done:
     return status;
 }
 
-/* Impacts at the start. */
-static sfem_status sfemi_impact_strike(sfem_contact *c, sfemi_touch *t, sfem_real h, sfem_error *err)
+/* The body takes the changes of impulses at the start; rows' impulses over the step are still 0. */
+static void sfemi_impact_take_strikes(const sfem_contact *c, sfemi_touch *t)
 {
-    sfemi_impact *m = t->impact;
+    sfemi_impact *m = sfemi_impact_part(t);
     sfem_modal *b = m->modal;
-    sfem_status status = SFEM_OK;
     sfem_int i;
     size_t k;
     int a, p;
-    SFEMI_TRY(sfemi_impact_press(c, t, SFEMI_IMPACT_STRIKE, h, err));
     for (i = 0; i < t->rows; ++i) {
         sfemi_row *row = t->row + i;
-        memcpy(row->struck, row->change, sizeof row->struck);
-        m->moved += sfemi_dot3(row->struck, row->speed);
+        for (a = 0; a < 3; ++a) row->struck[a] += row->change[a];
+        m->moved += sfemi_dot3(row->change, row->speed);
         for (p = 0; p < row->parts; ++p)
             for (a = 0; a < 3; ++a) {
                 const size_t at = 3 * (size_t)row->at[p] + (size_t)a;
-                m->work += row->weight[p] * row->struck[a] * (c->v0[at] + c->v[at]) / 2;
+                m->work += row->weight[p] * row->change[a] * (c->v0[at] + c->v[at]) / 2;
             }
     }
     sfemi_impact_transpose(t, 1);
@@ -41859,24 +41895,45 @@ static sfem_status sfemi_impact_strike(sfem_contact *c, sfemi_touch *t, sfem_rea
         b->head->momentum[a] += m->torque[a];
     }
     sfemi_impact_set_out(m);
+}
+
+/* Friction there: rows that slide go on, in a second system, without. */
+static sfem_status sfemi_impact_stick(sfem_contact *c, sfemi_touch *t, sfem_real h, sfem_error *err)
+{
+    sfem_status status = SFEM_OK;
+    sfem_int i;
+    int slide = 0;
+    for (i = 0; i < t->rows; ++i) t->row[i].slides = 0;
+    SFEMI_TRY(sfemi_impact_press(c, t, SFEMI_IMPACT_STICK, h, err));
+    for (i = 0; i < t->rows; ++i) slide |= t->row[i].slides;
+    if (slide) SFEMI_TRY(sfemi_impact_press(c, t, SFEMI_IMPACT_STICK, h, err));
+    sfemi_impact_take_strikes(c, t);
+    for (i = 0; i < t->rows; ++i) memcpy(t->row[i].stuck, t->row[i].change, sizeof t->row[i].stuck);
 done:
     return status;
 }
 
-/* Forces over the step, until its end is where the cones have it. */
+/* Forces over the step, until its end is where the cones have it. Row's `impulse` has what it took for friction at the
+ * start, `stuck`, while its cone is solved. */
 static sfem_status sfemi_impact_settle(sfem_contact *c, sfemi_touch *t, sfem_real h, sfem_error *err)
 {
-    enum { ROUNDS = 10 };
+    enum { ROUNDS = 6 };
+    const sfem_real enough = 1e-2 * c->def.tolerance; /* of energy: 1e-4 of the impulses */
     sfem_status status = SFEM_OK;
     sfem_int i, found;
     int round, a;
     for (i = 0; i < t->rows; ++i)
-        for (a = 0; a < 3; ++a) t->row[i].impulse[a] = h * t->row[i].force[a];
+        for (a = 0; a < 3; ++a) t->row[i].impulse[a] = h * t->row[i].force[a] - t->row[i].stuck[a];
     SFEMI_TRY(sfemi_impact_run(t, h, err));
     for (round = 0; round < ROUNDS; ++round) {
         SFEMI_TRY(sfemi_impact_detect(c, t, h, &found, err));
-        SFEMI_TRY(sfemi_impact_press(c, t, SFEMI_IMPACT_FORCE, h, err));
-        if (!(t->change > 1e-12 * t->size)) break;
+        for (i = 0; i < t->rows; ++i)
+            for (a = 0; a < 3; ++a) t->row[i].impulse[a] += t->row[i].stuck[a];
+        status = sfemi_impact_press(c, t, SFEMI_IMPACT_FORCE, h, err);
+        for (i = 0; i < t->rows; ++i)
+            for (a = 0; a < 3; ++a) t->row[i].impulse[a] -= t->row[i].stuck[a];
+        if (status != SFEM_OK) return status;
+        if (!(t->change > enough * t->size)) break;
         for (i = 0; i < t->rows; ++i)
             for (a = 0; a < 3; ++a) t->row[i].impulse[a] += t->row[i].change[a];
         SFEMI_TRY(sfemi_impact_run(t, h, err));
@@ -41900,27 +41957,36 @@ static sfem_real sfemi_impact_stored(const sfemi_touch *t)
 /* The step with contact, from `before` the step. */
 static sfem_status sfemi_impact_touch(sfem_contact *c, sfemi_touch *t, sfem_real h, sfem_error *err)
 {
-    sfemi_impact *m = t->impact;
+    sfemi_impact *m = sfemi_impact_part(t);
     sfem_modal *b = m->modal;
     const sfem_real stored = sfemi_impact_stored(t);
     sfem_status status = SFEM_OK;
     sfem_real energy, kinetic;
     sfem_int i;
-    int a;
     sfemi_impact_set_out(m);
-    for (i = 0; i < t->rows; ++i) memset(t->row[i].impulse, 0, sizeof t->row[i].impulse);
+    for (i = 0; i < t->rows; ++i) {
+        memset(t->row[i].impulse, 0, sizeof t->row[i].impulse);
+        memset(t->row[i].struck, 0, sizeof t->row[i].struck);
+        memset(t->row[i].stuck, 0, sizeof t->row[i].stuck);
+    }
     energy = sfemi_impact_energy(m, &kinetic);
-    SFEMI_TRY(sfemi_impact_strike(c, t, h, err));
+    SFEMI_TRY(sfemi_impact_press(c, t, SFEMI_IMPACT_STRIKE, h, err));
+    sfemi_impact_take_strikes(c, t);
+    SFEMI_TRY(sfemi_impact_stick(c, t, h, err));
     SFEMI_TRY(sfemi_impact_settle(c, t, h, err));
     for (i = 0; i < t->rows; ++i) {
         const sfemi_row *row = t->row + i;
         sfem_real x0[3], x1[3];
         sfemi_contact_point_of(t, row, NULL, h, x0);
         sfemi_contact_point_of(t, row, t->x1, h, x1);
-        for (a = 0; a < 3; ++a) m->work += row->impulse[a] * (x1[a] - x0[a]) / h;
+        sfemi_sub3(x1, x0, x1);
+        m->work += sfemi_dot3(row->impulse, x1) / h;
         m->moved += sfemi_dot3(row->impulse, row->speed);
+        if (sfemi_impact_gap(c, t, row) < 0) /* out of it within the slop */
+            m->moved += sfemi_dot3(row->impulse, row->axes) *
+                        fmax(0.0, sfemi_dot3(row->axes, x1) / h - sfemi_dot3(row->axes, row->speed));
     }
-    sfemi_impact_bound(c, m, energy, fmax(0.0, m->moved) + stored);
+    sfemi_impact_bound(c, t, energy, fmax(0.0, m->moved) + stored);
     if (b->head->handles > 0) b->head->started = 0;
 done:
     return status;
@@ -41928,7 +41994,7 @@ done:
 
 static sfem_status sfemi_impact_solve(sfem_contact *c, sfemi_touch *t, sfem_real h, sfem_error *err)
 {
-    sfemi_impact *m = t->impact;
+    sfemi_impact *m = sfemi_impact_part(t);
     sfem_modal *b = m->modal;
     sfem_status status = SFEM_OK;
     sfem_real box[2][3];
@@ -41969,7 +42035,7 @@ done:
 
 static void sfemi_impact_take(sfem_contact *c, sfemi_touch *t, sfem_real h)
 {
-    sfemi_impact *m = t->impact;
+    sfemi_impact *m = sfemi_impact_part(t);
     sfem_int i, kept = 0;
     int k;
     m->stepped = 0;
@@ -41989,7 +42055,6 @@ static void sfemi_impact_take(sfem_contact *c, sfemi_touch *t, sfem_real h)
         row->gap = sfemi_dot3(row->axes, x);
         row->fresh = 0;
         row->bounce = 0;
-        memset(row->struck, 0, sizeof row->struck);
         t->row[kept++] = *row;
     }
     c->rows -= t->rows - kept;
@@ -41998,7 +42063,7 @@ static void sfemi_impact_take(sfem_contact *c, sfemi_touch *t, sfem_real h)
 
 static void sfemi_impact_undo(sfemi_touch *t)
 {
-    sfemi_impact *m = t->impact;
+    sfemi_impact *m = sfemi_impact_part(t);
     if (m->stepped) sfemi_impact_restore(m, m->before);
     m->stepped = 0;
 }
@@ -42008,7 +42073,7 @@ static void sfemi_impact_undo(sfemi_touch *t)
 static void sfemi_impact_release(const sfem_contact *c, sfemi_touch *t)
 {
     const sfem_allocator *al = &c->def.allocator;
-    sfemi_impact *m = t->impact;
+    sfemi_impact *m = sfemi_impact_part(t);
     if (!m) return;
     sfem_reduced_view_free(m->view);
     sfemi_delete(al, m->before);
@@ -42017,7 +42082,7 @@ static void sfemi_impact_release(const sfem_contact *c, sfemi_touch *t)
     sfemi_delete(al, m->rows);
     sfemi_delete(al, m->arm);
     sfemi_delete(al, m);
-    t->impact = NULL;
+    t->part = NULL;
 }
 
 static const sfemi_touch_method sfemi_impact_method = {sfemi_impact_solve, sfemi_impact_gather, sfemi_impact_take,
@@ -42026,7 +42091,7 @@ static const sfemi_touch_method sfemi_impact_method = {sfemi_impact_solve, sfemi
 /* Which nodes and faces may touch. */
 static sfem_status sfemi_impact_collect(sfem_contact *c, sfemi_touch *t, sfem_int count, const sfem_int *node, sfem_error *err)
 {
-    const sfem_reduced *r = t->impact->modal->reduced;
+    const sfem_reduced *r = sfemi_impact_part(t)->modal->reduced;
     const sfem_allocator *al = &c->def.allocator;
     const sfem_int surface = r->head->surface_nodes, triangles = r->head->surface_triangles;
     sfem_status status = SFEM_OK;
@@ -42073,7 +42138,7 @@ done:
 /* Its own memory, and the box of its nodes. */
 static sfem_status sfemi_impact_prepare(const sfem_contact *c, sfemi_touch *t, sfem_error *err)
 {
-    sfemi_impact *m = t->impact;
+    sfemi_impact *m = sfemi_impact_part(t);
     const sfem_modal *b = m->modal;
     const sfem_allocator *al = &c->def.allocator;
     sfem_real low[3] = {1e300, 1e300, 1e300}, high[3] = {-1e300, -1e300, -1e300};
@@ -42105,12 +42170,13 @@ SFEM_DEF sfem_status sfem_contact_add_modal(sfem_contact *c, sfem_modal *modal, 
 {
     const sfem_contact_surface standard = sfem_default_contact_surface(), *s = surface ? surface : &standard;
     sfemi_touch *t = NULL;
+    sfemi_impact *m = NULL;
     sfem_status status = SFEM_OK;
     sfem_int i, at;
     SFEM_ASSERT(c && modal);
     SFEMI_TRY(sfemi_contact_check_surface(s, "body", err));
     for (i = 0, at = c->touches; i < c->touches; ++i) {
-        if (c->touch[i].used && c->touch[i].method && c->touch[i].impact->modal == modal)
+        if (c->touch[i].used && c->touch[i].method && sfemi_impact_part(c->touch + i)->modal == modal)
             return sfemi_fail(err, SFEM_BAD_ARGUMENT, "this body was added before, as number %d", (int)i);
         if (!c->touch[i].used && at == c->touches) at = i;
     }
@@ -42118,9 +42184,10 @@ SFEM_DEF sfem_status sfem_contact_add_modal(sfem_contact *c, sfem_modal *modal, 
     t = c->touch + at;
     memset(t, 0, sizeof *t);
     t->contact = *s;
-    SFEMI_NEW(sfemi_impact, t->impact, &c->def.allocator, 1);
+    SFEMI_NEW(sfemi_impact, m, &c->def.allocator, 1);
+    t->part = m;
     t->method = &sfemi_impact_method;
-    t->impact->modal = modal;
+    m->modal = modal;
     SFEMI_TRY(sfemi_impact_collect(c, t, count, node, err));
     SFEMI_TRY(sfemi_impact_prepare(c, t, err));
     t->used = 1;
