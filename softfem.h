@@ -32335,6 +32335,7 @@ struct sfem_contact {
     sfem_int obstacles, obstacle_room;
     sfemi_touch *touch;
     sfem_int touches, touch_room;
+    int shared; /* there are rows over two bodies: the first of them has the lower number */
     sfemi_columns *columns;
     size_t column_bytes;
     int64_t step, columns_made;
@@ -32992,20 +32993,35 @@ static int sfemi_contact_meets(const sfemi_obstacle *o, const sfem_real y0[3], c
     return 1;
 }
 
-/* A point of the row at the start and the end of the step, in space. */
+/* What the trial's acceleration leads to: a component of the mean velocity of the step. */
+static sfem_real sfemi_contact_trial_velocity_at(const sfemi_touch *t, size_t at)
+{
+    return sfemi_pqr_base(t->body)[at] + t->body->step.d * t->body->acc[at];
+}
+
+/* The same in the iteration that is under way. */
+static sfem_real sfemi_contact_mean_velocity(const sfemi_touch *t, size_t at)
+{
+    if (t->body->scheme.rotates && t->body->phase == SFEMI_SOLVED) return t->body->safeguard.w[at];
+    return sfemi_contact_trial_velocity_at(t, at);
+}
+
+/* A point of the row at the start and the end of the step, in space; w: what its first body moves by. */
 static void sfemi_contact_point_of(const sfemi_touch *t, const sfemi_row *row, const sfem_real *w, sfem_real h,
                                    sfem_real x[3])
 {
-    const sfem_real *rest = t->method ? NULL : t->body->model->mesh.x, *u = t->method ? NULL : t->body->state.u;
     int k, c;
     memset(x, 0, 3 * sizeof *x);
-    for (k = 0; t->method && k < row->parts; ++k)
-        for (c = 0; c < 3; ++c) x[c] += row->weight[k] * (w ? t->x1 : t->x0)[3 * (size_t)t->place_of[row->node[k]] + (size_t)c];
-    for (k = 0; !t->method && k < row->parts; ++k)
+    for (k = 0; k < row->parts; ++k) {
+        const sfemi_touch *of = t + (row->body[k] - row->body[0]);
         for (c = 0; c < 3; ++c) {
-            const size_t at = 3 * (size_t)row->node[k] + (size_t)c;
-            x[c] += row->weight[k] * (rest[at] + u[at] + (w ? h * w[at] : 0));
+            const size_t at = 3 * (size_t)(of->method ? of->place_of[row->node[k]] : row->node[k]) + (size_t)c;
+            if (of->method) x[c] += row->weight[k] * (w ? of->x1 : of->x0)[at];
+            else
+                x[c] += row->weight[k] * (of->body->model->mesh.x[at] + of->body->state.u[at] +
+                                          (w ? h * (of == t ? w[at] : sfemi_contact_mean_velocity(of, at)) : 0));
         }
+    }
 }
 
 /* The row's plane in space, and where its point may be. */
@@ -33270,6 +33286,7 @@ static void sfemi_contact_follow(const sfem_contact *c, sfemi_touch *t, const sf
         sfemi_row *row = t->row + i;
         const sfemi_obstacle *o = c->obstacle + row->obstacle;
         sfem_real x[3], y[3], n[3], s;
+        if (row->obstacle < 0) continue; /* between bodies */
         if (row->parts == 3) {
             sfem_real first[9], corner[9];
             sfemi_contact_face_at(t, o, row->node, w, 0, 0, first);
@@ -33725,25 +33742,38 @@ static int sfemi_contact_precedes(const sfemi_row *a, const sfemi_row *b)
     return a->weight[0] != b->weight[0] ? a->weight[0] < b->weight[0] : a->weight[1] < b->weight[1];
 }
 
-/* c->list of an island's rows in order. */
+/* Are all of a row's bodies in the island, and in the step? Modal bodies are in none but their own. */
+static int sfemi_contact_is_within(const sfem_contact *c, sfemi_island island, const sfemi_row *row)
+{
+    int k, within = 1;
+    for (k = 0; within && k < row->parts; ++k) {
+        const sfemi_touch *t = c->touch + row->body[k];
+        within = row->body[k] >= island.first && row->body[k] < island.first + island.count;
+        within &= island.count == 1 || !(t->method || t->rests);
+    }
+    return within;
+}
+
+/* c->list of an island's rows in order. Rows over bodies that are not all in it keep their impulses. */
 static sfem_status sfemi_contact_enlist(sfem_contact *c, sfemi_island island, sfem_int *count, sfem_error *err)
 {
     sfem_status status = SFEM_OK;
-    sfem_int i, k, n = 0, gap;
+    sfem_int i, k, n = 0, gap, rows;
     for (i = island.first; i < island.first + island.count; ++i) {
         sfemi_touch *t = c->touch + i;
         sfemi_row **list;
         SFEMI_CONTACT_LIST(c, c->list, c->list_room, n + t->rows);
         list = c->list + n;
-        for (k = 0; k < t->rows; ++k) list[k] = t->row + k;
-        for (gap = t->rows / 2; gap > 0; gap /= 2) /* [Shell 1959] */
-            for (k = gap; k < t->rows; ++k) {
+        for (k = rows = 0; k < t->rows; ++k)
+            if (sfemi_contact_is_within(c, island, t->row + k)) list[rows++] = t->row + k;
+        for (gap = rows / 2; gap > 0; gap /= 2) /* [Shell 1959] */
+            for (k = gap; k < rows; ++k) {
                 sfemi_row *row = list[k];
                 sfem_int j = k;
                 for (; j >= gap && sfemi_contact_precedes(row, list[j - gap]); j -= gap) list[j] = list[j - gap];
                 list[j] = row;
             }
-        n += t->rows;
+        n += rows;
     }
     *count = n;
 done:
@@ -33895,16 +33925,18 @@ static sfem_real sfemi_contact_span(const sfemi_touch *t)
 /* x = J^T of the rows' `by`: their change of impulses in the last system, or the impulses. */
 static void sfemi_contact_transpose(const sfem_contact *contact, const sfemi_touch *t, int change, sfem_real *x)
 {
-    sfem_int i;
+    const sfem_int index = (sfem_int)(t - contact->touch);
+    sfem_int i, j;
     int k, c;
     memset(x, 0, 3 * (size_t)t->body->model->mesh.nodes * sizeof *x);
-    for (i = 0; i < t->rows; ++i) {
-        const sfemi_row *row = t->row + i;
-        for (k = 0; k < row->parts; ++k)
-            for (c = 0; c < 3 && row->body[k] == (sfem_int)(t - contact->touch); ++c)
-                x[3 * (size_t)row->node[k] + (size_t)c] +=
-                    row->weight[k] * (change ? row->change[c] : row->impulse[c]);
-    }
+    for (j = contact->shared ? 0 : index; j <= index; ++j) /* others' rows, too: they stand with their first body */
+        for (i = 0; i < contact->touch[j].rows; ++i) {
+            const sfemi_row *row = contact->touch[j].row + i;
+            for (k = 0; k < row->parts; ++k)
+                for (c = 0; c < 3 && row->body[k] == index; ++c)
+                    x[3 * (size_t)row->node[k] + (size_t)c] +=
+                        row->weight[k] * (change ? row->change[c] : row->impulse[c]);
+        }
 }
 
 /* Enters the impulses x in what the step has of the caller's: energy budget and rejected steps take it from there. */
@@ -33963,7 +33995,7 @@ static void sfemi_contact_trial_velocity(sfem_contact *c, const sfemi_touch *t)
     for (i = 0; i < 3 * (size_t)b->model->mesh.nodes; ++i) c->w[i] = base[i] + d * b->acc[i];
 }
 
-/* The cones of an island with its bodies at w' - dir, or in the trial at c->w (one body). Leaves the rows' changes,
+/* The cones of an island with its bodies at w' - dir, or in the trial. Leaves the rows' changes,
  * and in each body what energy they are, and all impulses. */
 static sfem_status sfemi_contact_press(sfem_contact *c, sfemi_island island, int trial, sfem_error *err)
 {
@@ -33980,15 +34012,18 @@ static sfem_status sfemi_contact_press(sfem_contact *c, sfemi_island island, int
         sfem_real v[3];
         for (k = 0; k < 3; ++k) {
             const size_t at = 3 * (size_t)c->node[i].node + (size_t)k;
-            v[k] = trial ? c->w[at] : t->done ? g->w[at] : g->w[at] - g->dir[at];
+            v[k] = trial ? sfemi_contact_trial_velocity_at(t, at) : t->done ? g->w[at] : g->w[at] - g->dir[at];
         }
         for (k = 0; k < 3; ++k) c->v[3 * i + k] = q[k] * v[0] + q[3 + k] * v[1] + q[6 + k] * v[2];
     }
     for (i = island.first; i < island.first + island.count; ++i) {
         sfemi_touch *t = c->touch + i;
         sfem_int j;
-        for (j = 0; j < t->rows; ++j)
-            sfemi_contact_set_up_row(c, t, t->row + j, t->body->step.h, sfemi_contact_span(t));
+        for (j = 0; j < t->rows; ++j) {
+            memset(t->row[j].change, 0, sizeof t->row[j].change);
+            if (sfemi_contact_is_within(c, island, t->row + j))
+                sfemi_contact_set_up_row(c, t, t->row + j, t->body->step.h, sfemi_contact_span(t));
+        }
     }
     memcpy(c->v0, c->v, 3 * (size_t)c->nodes * sizeof *c->v);
     sfemi_contact_sweep(c, count);
@@ -33998,6 +34033,7 @@ static sfem_status sfemi_contact_press(sfem_contact *c, sfemi_island island, int
         for (j = 0; j < t->rows; ++j) {
             sfemi_row *row = t->row + j;
             sfem_real dl[3];
+            if (!sfemi_contact_is_within(c, island, row)) continue;
             for (k = 0; k < 3; ++k) {
                 sfem_real l = 0;
                 for (a = 0; a < 3; ++a) l += row->axes[3 * a + k] * row->l[a];
@@ -34044,7 +34080,7 @@ static sfem_real sfemi_contact_response(const sfemi_touch *t, const sfem_real *b
     int k, a;
     for (i = 0; i < t->rows; ++i)
         for (k = 0; k < t->row[i].parts; ++k)
-            for (a = 0; a < 3; ++a) {
+            for (a = 0; a < 3 && t->row[i].body[k] == t->row[i].body[0]; ++a) {
                 const size_t at = 3 * (size_t)t->row[i].node[k] + (size_t)a;
                 does += t->row[i].weight[k] * t->row[i].change[a] * (after[at] - (before ? before[at] : 0));
             }
@@ -34065,12 +34101,12 @@ static void sfemi_contact_drop_far(sfem_contact *c, sfemi_touch *t)
     sfem_int i, kept = 0;
     for (i = 0; i < t->rows; ++i) {
         const sfemi_row *row = t->row + i;
-        const sfemi_obstacle *o = c->obstacle + row->obstacle;
+        const sfemi_obstacle *o = row->obstacle < 0 ? NULL : c->obstacle + row->obstacle;
         sfem_real x[3], y[3];
         sfemi_contact_point_of(t, row, NULL, 0, x);
-        sfemi_obstacle_to_local(o->from, o->from_axes, x, y);
-        sfemi_sub3(y, row->local_place, y);
-        if (sfemi_dot3(row->local_normal, y) > t->edge) continue;
+        if (o) sfemi_obstacle_to_local(o->from, o->from_axes, x, y);
+        if (o) sfemi_sub3(y, row->local_place, y);
+        if (o && sfemi_dot3(row->local_normal, y) > t->edge) continue;
         t->row[kept++] = *row;
     }
     c->rows -= t->rows - kept;
@@ -34086,12 +34122,12 @@ static sfem_status sfemi_contact_begin(sfem_contact *c, sfemi_touch *t, sfem_rea
     int k;
     size_t at;
     sfemi_contact_drop_far(c, t);
-    b->rotated.by_hand = t->rows > 0 || b->state.head->step_forces;
+    b->rotated.by_hand = t->rows > 0 || c->shared || b->state.head->step_forces;
     b->kicked = 0;
     t->fallback = t->lost = 0;
     status = sfemi_body_predict(b, h, err);
     if (status == SFEM_OK) sfemi_step_force_apply(b);
-    if (status != SFEM_OK || !t->rows) return status;
+    if (status != SFEM_OK || !(t->rows || c->shared)) return status;
     for (i = 0; i < t->rows; ++i)
         for (k = 0; k < 3; ++k) t->row[i].impulse[k] = sfemi_contact_span(t) * t->row[i].force[k];
     sfemi_contact_transpose(c, t, 0, c->x);
@@ -34139,6 +34175,75 @@ static sfem_status sfemi_contact_try(sfem_contact *c, sfem_int index, sfem_error
     }
     b->phase = SFEMI_SOLVED;
     if (b->scheme.rotates) sfemi_safeguard_advance(b);
+done:
+    return status;
+}
+
+/* Changes of the rows' impulses of an island, times part, go through A^-1 of each of its bodies into their trials.
+ * *does: J, what they do along the rows. */
+static void sfemi_contact_respond_all(sfem_contact *c, sfemi_island island, sfem_real part, sfem_real *does)
+{
+    sfem_int i;
+    *does = 0;
+    for (i = island.first; i < island.first + island.count; ++i) {
+        sfemi_touch *t = c->touch + i;
+        const size_t n = t->used && !t->method && !t->rests ? 3 * (size_t)t->body->model->mesh.nodes : 0;
+        size_t at;
+        if (!n) continue;
+        sfemi_contact_transpose(c, t, 1, c->x);
+        memcpy(c->y, c->x, n * sizeof *c->y);
+        sfemi_contact_respond(c, t, c->y);
+        for (at = 0; at < n; ++at) {
+            *does += c->x[at] * c->y[at];
+            t->body->acc[at] += part * c->y[at] / t->body->step.d;
+        }
+    }
+}
+
+/* The cones of an island in the trial, rows over two bodies among them: each of the bodies has done its own before. An
+ * impulse is one for both, so that momenta stay, and so is the part of a change that is taken. Of linear bodies, whose step
+ * the trial is: corrections and rejected steps do not know such rows. */
+static sfem_status sfemi_contact_join(sfem_contact *c, sfemi_island island, sfem_error *err)
+{
+    enum { ROUNDS = 3 };
+    sfem_status status = SFEM_OK;
+    sfem_int i, j;
+    int round, a, k;
+    for (i = island.first; i < island.first + island.count; ++i)
+        for (j = 0; j < c->touch[i].rows; ++j)
+            for (k = 0; k < c->touch[i].row[j].parts; ++k)
+                if (c->touch[i].row[j].body[k] != i && (c->touch[c->touch[i].row[j].body[k]].body->scheme.rotates ||
+                                                        c->touch[i].body->scheme.rotates))
+                    return sfemi_fail(err, SFEM_BAD_ARGUMENT, "bodies %d and %d touch each other: both must be linear",
+                                      (int)i, (int)c->touch[i].row[j].body[k]);
+    for (round = 0; round < ROUNDS; ++round) {
+        sfem_real change = 0, size = 0, expected = 0, does, part, twice;
+        SFEMI_TRY(sfemi_contact_press(c, island, 1, err));
+        for (i = island.first; i < island.first + island.count; ++i) {
+            change += c->touch[i].change;
+            size += c->touch[i].size;
+            expected += c->touch[i].expected;
+        }
+        if (!(change > c->def.tolerance * c->def.tolerance * size)) break;
+        sfemi_contact_respond_all(c, island, 1, &does);
+        part = expected > 0 ? 1 / fmax(1.0, does / expected) : 1;
+        if (part < 1) sfemi_contact_respond_all(c, island, part - 1, &twice);
+        for (i = island.first; i < island.first + island.count; ++i)
+            for (j = 0; j < c->touch[i].rows; ++j)
+                for (a = 0; a < 3; ++a) {
+                    sfemi_row *row = c->touch[i].row + j;
+                    row->change[a] *= part;
+                    row->impulse[a] += row->change[a];
+                }
+        for (i = island.first; i < island.first + island.count; ++i) {
+            if (!c->touch[i].used || c->touch[i].method || c->touch[i].rests) continue;
+            sfemi_contact_transpose(c, c->touch + i, 1, c->x);
+            sfemi_contact_book(c->touch + i, c->x);
+            SFEMI_TRY(sfemi_method_check_acceleration(c->touch[i].body, err));
+        }
+    }
+    for (i = island.first; i < island.first + island.count; ++i)
+        for (j = 0; j < c->touch[i].rows; ++j) memset(c->touch[i].row[j].change, 0, sizeof c->touch[i].row[j].change);
 done:
     return status;
 }
@@ -34872,7 +34977,7 @@ static int sfemi_contact_find_impact(sfem_contact *c, sfemi_touch *t)
     sfem_real change = 0, size = 0;
     sfem_int i;
     int k;
-    if (t->fallback || !t->rows) return 0;
+    if (t->fallback || !(t->rows || c->shared)) return 0;
     for (i = 0; i < t->rows; ++i) {
         sfemi_row *row = t->row + i;
         const sfem_real now = sfemi_dot3(row->impulse, row->axes);
@@ -34882,7 +34987,7 @@ static int sfemi_contact_find_impact(sfem_contact *c, sfemi_touch *t)
         change += more;
         size += now;
     }
-    if (!(change > 0.1 * size)) return 0; /* it goes on as a force does */
+    if (!(change > 0.1 * size) && !c->shared) return 0; /* it goes on as a force does */
     sfemi_contact_transpose(c, t, 1, c->x);
     sfemi_contact_respond(c, t, c->x);
     for (i = 0; i < 3 * b->model->mesh.nodes; ++i) c->x[i] /= b->step.d;
@@ -34912,20 +35017,23 @@ static void sfemi_contact_settle_rows(sfem_contact *c, sfemi_touch *t)
         sfem_real x[3];
         for (k = 0; k < row->parts; ++k)
             for (a = 0; a < 3; ++a) {
+                const sfemi_touch *of = c->touch + row->body[k]; /* not taken yet: its number is not lower */
                 const size_t at = 3 * (size_t)row->node[k] + (size_t)a;
-                c->info.work += row->weight[k] * row->impulse[a] * (t->fallback ? w1[at] : (w[at] + w1[at]) / 2);
+                const sfem_real before = of == t ? w[at] : of->body->state.w[at];
+                const sfem_real after = of == t ? w1[at] : sfemi_contact_mean_velocity(of, at);
+                c->info.work += row->weight[k] * row->impulse[a] * (t->fallback ? after : (before + after) / 2);
             }
         for (k = 0; k < 3; ++k) row->force[k] = row->impulse[k] / span;
         if (sfemi_dot3(row->impulse, row->impulse) == 0) continue;
         if (row->parts == 3 && sfemi_contact_face_is_broken(t, row->node)) continue;
-        c->info.moved += sfemi_contact_booked(c, t, row, w1);
+        if (row->obstacle >= 0) c->info.moved += sfemi_contact_booked(c, t, row, w1);
         c->info.pushed += row->pushed;
         sfemi_contact_point_of(t, row, w1, b->step.h, row->position);
         sfemi_sub3(row->position, row->place, x);
         row->gap = sfemi_dot3(row->axes, x);
         row->fresh = 0;
         row->bounce = 0;
-        if (sfemi_obstacle_moves(c->obstacle + row->obstacle)) sfemi_sleep_wake_up(b);
+        if (row->obstacle < 0 || sfemi_obstacle_moves(c->obstacle + row->obstacle)) sfemi_sleep_wake_up(b);
         t->row[kept++] = *row;
     }
     c->rows -= t->rows - kept;
@@ -35027,7 +35135,7 @@ static int sfemi_contact_rests(sfem_contact *c, sfemi_touch *t, sfem_real h, sfe
     if (!near) return 1;
     memset(c->w, 0, n * sizeof *c->w);
     *status = sfemi_contact_detect(c, t, c->w, h, &found, err);
-    for (k = 0, near = 0; k < t->rows; ++k) near |= c->obstacle[t->row[k].obstacle].stirred;
+    for (k = 0, near = 0; k < t->rows; ++k) near |= t->row[k].obstacle >= 0 && c->obstacle[t->row[k].obstacle].stirred;
     if (!near) { /* nothing new, then, but with what it lies on */
         c->rows -= t->rows - before;
         t->rows = before;
@@ -35067,6 +35175,11 @@ static sfem_status sfemi_contact_solve(sfem_contact *c, sfem_real h, sfem_error 
         SFEMI_TRY(sfemi_contact_begin(c, t, h, err));
         SFEMI_TRY(sfemi_columns_expect(c, t, h, err));
         SFEMI_TRY(sfemi_contact_try(c, i, err));
+    }
+    if (c->shared) {
+        island.first = 0;
+        island.count = c->touches;
+        SFEMI_TRY(sfemi_contact_join(c, island, err));
     }
     island.count = 1;
     for (island.first = 0; island.first < c->touches; ++island.first) {
