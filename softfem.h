@@ -34,7 +34,7 @@
  *     hold and grab     sfem_body_set_pins, _move_pin; sfem_mesh_near; sfem_body_grab_node, _grab_point, _grab_region
  *                       sfem_body_move_handle, _release_handle
  *     touch obstacles   sfem_contact_create, _add_body, _add_obstacle, _move_obstacle, _step, _points, _save_state, _free
- *                       sfem_obstacle_plane; sfem_contact_obstacle_force; your own: sfem_body_apply_impulses
+ *                       sfem_contact_add_modal, _obstacle_force; sfem_obstacle_plane; your own: sfem_body_apply_impulses
  *     look at           sfem_body_positions, _velocities, _displacement, _energy, _get_info, _reactions
  *                       sfem_body_handle_force; sfem_model_stress, _smooth_stress
  *     render            sfem_mesh_surface, sfem_body_to_floats, sfem_body_normals; sfem_surface_normals
@@ -110,6 +110,7 @@
  *            >>statics      static solutions
  *            >>modes        block Lanczos, inertia count
  *            >>reduced      modal bodies: oscillators, warping, handles
+ *            >>impact       modal bodies against obstacles
  *            >>link         packets of accelerations, key frames
  *            >>embed        a render surface that follows a coarse body
  *            >>kernels      inner loops, compiled once for each vector path
@@ -152,8 +153,7 @@
  *     SFEM_ENABLE_REDUCED alone plays reduced models that were saved; with SFEM_ENABLE_MODES it makes them
  *
  * LIMITS. 4-node tetrahedra: linear ones, which lock, or smooth ones, which do not (sfem_tet). Node and tet counts below
- * 2^31. Bodies touch obstacles; they do not touch each other or themselves, and modal bodies touch
- * nothing. No remeshing.
+ * 2^31. Bodies touch obstacles; they do not touch each other or themselves. No remeshing.
  */
 #ifndef SOFTFEM_H
 #define SOFTFEM_H
@@ -1960,7 +1960,8 @@ SFEM_DEF void sfem_body_fragment_positions(sfem_body *body, const sfem_fragments
  * true A. The work of the impulses enters the energy budget of the step; where it is rejected, the step in its place has
  * contact, too.
  *   Bodies   SFEM_PQR and what is translated to it (SFEM_CENTRAL, SFEM_GUI, SFEM_CHANG), of any law; pinned, held by
- *            handles, damaged: pieces collide with obstacles, not yet with each other. Each needs a workspace of its own
+ *            handles, damaged: pieces collide with obstacles, not yet with each other. Each needs a workspace of its own.
+ *            Modal bodies by a method of their own: sfem_contact_add_modal
  *   Steps    by sfem_contact_step alone; sfem_body_step of a body moves it as if there were no obstacles. Forces, pins,
  *            handles and states are the caller's as before, between two steps
  *   Swept    a node that passes an obstacle within a step is found on its way. Balls of 0.15 m hold before plates of
@@ -2555,6 +2556,27 @@ typedef struct sfem_modal_info {
     size_t state_bytes, body_bytes;
 } sfem_modal_info;
 SFEM_DEF sfem_modal_info sfem_modal_get_info(const sfem_modal *modal);
+
+#ifndef SFEM_NO_CONTACT
+/* CONTACT with the obstacles of a sfem_contact, which then steps the body: with J = dx/dq of the warped nodes and the frame,
+ * and P what a force that is constant over the step does to q,
+ *     q' += M^-1 S J^T l1       S: 1 of a mode that is slow against the step, 0 of a fast one. At its start, so that
+ *                               nothing arrives that would pass an obstacle
+ *     q  += P J^T l2/h          over the step: 0 <= l2_n, gap >= 0 at its end, l2_n gap = 0
+ * [Deuflhard, Krause, Ertel 2008], each with Coulomb's cone. Neither makes energy; what warping leaves of that is taken
+ * from the velocities. With handles there is no such bound. A point of sfem_contact_points has l1 + l2. Of few modes a node
+ * is heavy, and an impact takes more than of a body of nodes: a ball of 30 modes keeps 0.67, 0.85, 0.88 of its energy in a
+ * bounce at 240, 480, 960 Hz. A compliance of the surface stands in for what the modes do not have. Steps are
+ * sfem_contact_step's alone; sfem_modal_step moves it as if there were no obstacles. A link has to ask for a key frame after
+ * a step with contact, for q'' jumps. Bodies of the object do not touch each other.
+ *   node    [count] that may touch, or NULL: all of the surface. Faces take part where all of their nodes do
+ *   *id     a number as sfem_contact_add_body gives them, for sfem_contact_remove_body
+ *   errors  SFEM_BAD_ARGUMENT (node, surface, a body that was added before), SFEM_OUT_OF_MEMORY
+ *   cost    a step of it: O(m) where its box is far from all obstacles; else the positions of its nodes at each of some
+ *           rounds, and 9 m (nodes in contact)^2 */
+SFEM_DEF sfem_status sfem_contact_add_modal(sfem_contact *contact, sfem_modal *modal, const sfem_contact_surface *surface,
+                                            sfem_int count, const sfem_int *node, sfem_int *id, sfem_error *err);
+#endif /* SFEM_NO_CONTACT */
 #endif /* SFEM_NO_REDUCED */
 
 #ifndef SFEM_NO_LINK
@@ -32329,6 +32351,9 @@ typedef struct sfemi_row {
     sfem_real least;
     sfem_real impulse[3], force[3]; /* N s of this step, N of the last one taken; in space */
     sfem_real change[3]; /* of the impulse in the last system */
+    sfem_real struck[3]; /* N s that a modal body takes at the start of the step, beside the impulse over it; */
+    sfem_real stuck[3];  /* of these, by friction of the last step's force; */
+    int slides;          /* that does not suffice */
     sfem_real position[3], gap;     /* after the step */
     /* in a system: */
     sfem_int at[SFEMI_CONTACT_PARTS];      /* numbers of its nodes there */
@@ -32359,7 +32384,12 @@ typedef struct sfemi_columns {
 
 typedef struct sfemi_touch { /* a body */
     int used;
-    sfem_body *body;
+    sfem_body *body;                         /* NULL: it is a modal one, of which only >>impact knows more: */
+    const struct sfemi_touch_method *method; /* else NULL */
+    void *part;
+    sfem_int *place_of;        /* [mesh_nodes] places in `node`, or -1; of a modal body only */
+    sfem_int mesh_nodes;
+    size_t own_bytes;          /* of that part */
     sfem_contact_surface contact;
     sfem_int nodes, *node;     /* those that may touch */
     sfem_int triangles, *tri;  /* of the surface */
@@ -32389,6 +32419,15 @@ typedef struct sfemi_touch { /* a body */
     sfem_int owed_room;
 } sfemi_touch;
 
+/* What a step does with a body that is not one of nodes. */
+typedef struct sfemi_touch_method {
+    sfem_status (*solve)(sfem_contact *c, sfemi_touch *t, sfem_real h, sfem_error *err); /* all up to what is taken */
+    sfem_status (*gather)(sfem_contact *c, sfemi_touch *t, sfem_int first, sfem_int count, sfem_error *err); /* its G */
+    void (*take)(sfem_contact *c, sfemi_touch *t, sfem_real h);
+    void (*undo)(sfemi_touch *t);
+    void (*release)(const sfem_contact *c, sfemi_touch *t);
+} sfemi_touch_method;
+
 typedef struct sfemi_contact_node {
     sfem_int body, node;
     sfem_int first, count; /* of its body in the system */
@@ -32401,6 +32440,7 @@ struct sfem_contact {
     sfem_int obstacles, obstacle_room;
     sfemi_touch *touch;
     sfem_int touches, touch_room;
+    int shared; /* there are rows over two bodies: the first of them has the lower number */
     sfemi_columns *columns;
     size_t column_bytes;
     int64_t step, columns_made;
@@ -33058,18 +33098,35 @@ static int sfemi_contact_meets(const sfemi_obstacle *o, const sfem_real y0[3], c
     return 1;
 }
 
-/* A point of the row at the start and the end of the step, in space. */
+/* What the trial's acceleration leads to: a component of the mean velocity of the step. */
+static sfem_real sfemi_contact_trial_velocity_at(const sfemi_touch *t, size_t at)
+{
+    return sfemi_pqr_base(t->body)[at] + t->body->step.d * t->body->acc[at];
+}
+
+/* The same in the iteration that is under way. */
+static sfem_real sfemi_contact_mean_velocity(const sfemi_touch *t, size_t at)
+{
+    if (t->body->scheme.rotates && t->body->phase == SFEMI_SOLVED) return t->body->safeguard.w[at];
+    return sfemi_contact_trial_velocity_at(t, at);
+}
+
+/* A point of the row at the start and the end of the step, in space; w: what its first body moves by. */
 static void sfemi_contact_point_of(const sfemi_touch *t, const sfemi_row *row, const sfem_real *w, sfem_real h,
                                    sfem_real x[3])
 {
-    const sfem_real *rest = t->body->model->mesh.x, *u = t->body->state.u;
     int k, c;
     memset(x, 0, 3 * sizeof *x);
-    for (k = 0; k < row->parts; ++k)
+    for (k = 0; k < row->parts; ++k) {
+        const sfemi_touch *of = t + (row->body[k] - row->body[0]);
         for (c = 0; c < 3; ++c) {
-            const size_t at = 3 * (size_t)row->node[k] + (size_t)c;
-            x[c] += row->weight[k] * (rest[at] + u[at] + (w ? h * w[at] : 0));
+            const size_t at = 3 * (size_t)(of->method ? of->place_of[row->node[k]] : row->node[k]) + (size_t)c;
+            if (of->method) x[c] += row->weight[k] * (w ? of->x1 : of->x0)[at];
+            else
+                x[c] += row->weight[k] * (of->body->model->mesh.x[at] + of->body->state.u[at] +
+                                          (w ? h * (of == t ? w[at] : sfemi_contact_mean_velocity(of, at)) : 0));
         }
+    }
 }
 
 /* The row's plane in space, and where its point may be. */
@@ -33108,11 +33165,14 @@ static sfem_real sfemi_contact_push_speed(const sfem_contact *c, const sfemi_row
 /* Restitution of a row that is new: it is to leave by a part of the speed at which it arrives. */
 static void sfemi_contact_bounce(const sfem_contact *c, const sfemi_touch *t, sfemi_row *row, sfem_real h)
 {
-    const sfem_real *w = t->body->state.w, *g = t->body->state.head->gravity;
     const sfem_real e = fmax(t->contact.restitution, c->obstacle[row->obstacle].def.contact.restitution);
+    const sfem_real *w, *g;
     sfem_real v = -sfemi_dot3(row->axes, row->speed);
     int k;
     row->bounce = 0;
+    if (t->method) return; /* its impacts know it */
+    w = t->body->state.w;
+    g = t->body->state.head->gravity;
     for (k = 0; k < row->parts; ++k) v += row->weight[k] * sfemi_dot3(row->axes, w + 3 * (size_t)row->node[k]);
     if (e > 0 && -v > 2 * h * sqrt(sfemi_dot3(g, g))) row->bounce = -e * v;
 }
@@ -33183,13 +33243,13 @@ done:
 static void sfemi_contact_face_at(const sfemi_touch *t, const sfemi_obstacle *o, const sfem_int *tri, const sfem_real *w,
                                   sfem_real time_h, sfem_real share, sfem_real corner[9])
 {
-    const sfem_real *rest = t->body->model->mesh.x, *u = t->body->state.u;
+    const sfem_real *rest = t->method ? NULL : t->body->model->mesh.x, *u = t->method ? NULL : t->body->state.u;
     int k, c;
     for (k = 0; k < 3; ++k) {
         sfem_real x[3], y[3];
         for (c = 0; c < 3; ++c) {
-            const size_t at = 3 * (size_t)tri[k] + (size_t)c;
-            x[c] = rest[at] + u[at] + time_h * w[at];
+            const size_t at = 3 * (size_t)(t->method ? t->place_of[tri[k]] : tri[k]) + (size_t)c;
+            x[c] = t->method ? (1 - share) * t->x0[at] + share * t->x1[at] : rest[at] + u[at] + time_h * w[at];
         }
         sfemi_obstacle_to_local(o->from, o->from_axes, x, corner + 3 * k);
         if (!(share > 0)) continue;
@@ -33333,6 +33393,7 @@ static void sfemi_contact_follow(const sfem_contact *c, sfemi_touch *t, const sf
         sfemi_row *row = t->row + i;
         const sfemi_obstacle *o = c->obstacle + row->obstacle;
         sfem_real x[3], y[3], n[3], s;
+        if (row->obstacle < 0) continue; /* between bodies */
         if (row->parts == 3) {
             sfem_real first[9], corner[9];
             sfemi_contact_face_at(t, o, row->node, w, 0, 0, first);
@@ -33373,8 +33434,8 @@ static int sfemi_contact_face_is_touched(const sfemi_touch *t, const sfemi_row *
 /* Has a face come apart? Then it is none: its nodes, of several pieces, are as far from each other as they like. */
 static int sfemi_contact_face_is_broken(const sfemi_touch *t, const sfem_int *tri)
 {
-    const sfem_int *of = t->body->rotated.piece_of;
-    return t->body->damage && (of[tri[0]] != of[tri[1]] || of[tri[1]] != of[tri[2]]);
+    const sfem_int *of = t->method ? NULL : t->body->rotated.piece_of;
+    return of && t->body->damage && (of[tri[0]] != of[tri[1]] || of[tri[1]] != of[tri[2]]);
 }
 
 /* Faces of the body that meet an obstacle between their nodes, and have no row with it there. */
@@ -33382,7 +33443,7 @@ static sfem_status sfemi_contact_detect_faces(sfem_contact *c, sfemi_touch *t, s
                                               sfem_real h, sfem_error *err)
 {
     const sfemi_obstacle *o = c->obstacle + obstacle;
-    const sfem_int nodes = t->body->model->mesh.nodes;
+    const sfem_int nodes = t->mesh_nodes;
     sfem_status status = SFEM_OK;
     sfem_int i, k;
     for (i = 0; i < t->triangles; ++i) {
@@ -33729,7 +33790,7 @@ static const sfem_real sfemi_contact_no_frame[9] = {1, 0, 0, 0, 1, 0, 0, 0, 1};
 static const sfem_real *sfemi_contact_frame(const sfemi_touch *t, sfem_int node)
 {
     const sfem_body *b = t->body;
-    if (!b->scheme.rotates) return sfemi_contact_no_frame;
+    if (t->method || !b->scheme.rotates) return sfemi_contact_no_frame;
     if (b->phase == SFEMI_PREDICTED || b->safeguard.bounded) return b->state.frame + 9 * (size_t)node; /* the trial */
     return b->safeguard.frame + 9 * (size_t)node;
 }
@@ -33932,25 +33993,38 @@ static int sfemi_contact_precedes(const sfemi_row *a, const sfemi_row *b)
     return a->weight[0] != b->weight[0] ? a->weight[0] < b->weight[0] : a->weight[1] < b->weight[1];
 }
 
-/* c->list of an island's rows in order. */
+/* Are all of a row's bodies in the island, and in the step? Modal bodies are in none but their own. */
+static int sfemi_contact_is_within(const sfem_contact *c, sfemi_island island, const sfemi_row *row)
+{
+    int k, within = 1;
+    for (k = 0; within && k < row->parts; ++k) {
+        const sfemi_touch *t = c->touch + row->body[k];
+        within = row->body[k] >= island.first && row->body[k] < island.first + island.count;
+        within &= island.count == 1 || !(t->method || t->rests);
+    }
+    return within;
+}
+
+/* c->list of an island's rows in order. Rows over bodies that are not all in it keep their impulses. */
 static sfem_status sfemi_contact_enlist(sfem_contact *c, sfemi_island island, sfem_int *count, sfem_error *err)
 {
     sfem_status status = SFEM_OK;
-    sfem_int i, k, n = 0, gap;
+    sfem_int i, k, n = 0, gap, rows;
     for (i = island.first; i < island.first + island.count; ++i) {
         sfemi_touch *t = c->touch + i;
         sfemi_row **list;
         SFEMI_CONTACT_LIST(c, c->list, c->list_room, n + t->rows);
         list = c->list + n;
-        for (k = 0; k < t->rows; ++k) list[k] = t->row + k;
-        for (gap = t->rows / 2; gap > 0; gap /= 2) /* [Shell 1959] */
-            for (k = gap; k < t->rows; ++k) {
+        for (k = rows = 0; k < t->rows; ++k)
+            if (sfemi_contact_is_within(c, island, t->row + k)) list[rows++] = t->row + k;
+        for (gap = rows / 2; gap > 0; gap /= 2) /* [Shell 1959] */
+            for (k = gap; k < rows; ++k) {
                 sfemi_row *row = list[k];
                 sfem_int j = k;
                 for (; j >= gap && sfemi_contact_precedes(row, list[j - gap]); j -= gap) list[j] = list[j - gap];
                 list[j] = row;
             }
-        n += t->rows;
+        n += rows;
     }
     *count = n;
 done:
@@ -33986,9 +34060,13 @@ static sfem_status sfemi_contact_assemble(sfem_contact *c, sfemi_island island, 
     }
     for (i = 0; i < c->nodes;) {
         sfem_int n = i;
+        sfemi_touch *t = c->touch + c->node[i].body;
         while (n < c->nodes && c->node[n].body == c->node[i].body) ++n;
-        SFEMI_TRY(sfemi_columns_get(c, c->touch + c->node[i].body, err));
-        SFEMI_TRY(sfemi_contact_gather(c, c->touch + c->node[i].body, i, n - i, err));
+        if (t->method) SFEMI_TRY(t->method->gather(c, t, i, n - i, err));
+        else {
+            SFEMI_TRY(sfemi_columns_get(c, t, err));
+            SFEMI_TRY(sfemi_contact_gather(c, t, i, n - i, err));
+        }
         i = n;
     }
 done:
@@ -34098,16 +34176,18 @@ static sfem_real sfemi_contact_span(const sfemi_touch *t)
 /* x = J^T of the rows' `by`: their change of impulses in the last system, or the impulses. */
 static void sfemi_contact_transpose(const sfem_contact *contact, const sfemi_touch *t, int change, sfem_real *x)
 {
-    sfem_int i;
+    const sfem_int index = (sfem_int)(t - contact->touch);
+    sfem_int i, j;
     int k, c;
     memset(x, 0, 3 * (size_t)t->body->model->mesh.nodes * sizeof *x);
-    for (i = 0; i < t->rows; ++i) {
-        const sfemi_row *row = t->row + i;
-        for (k = 0; k < row->parts; ++k)
-            for (c = 0; c < 3 && row->body[k] == (sfem_int)(t - contact->touch); ++c)
-                x[3 * (size_t)row->node[k] + (size_t)c] +=
-                    row->weight[k] * (change ? row->change[c] : row->impulse[c]);
-    }
+    for (j = contact->shared ? 0 : index; j <= index; ++j) /* others' rows, too: they stand with their first body */
+        for (i = 0; i < contact->touch[j].rows; ++i) {
+            const sfemi_row *row = contact->touch[j].row + i;
+            for (k = 0; k < row->parts; ++k)
+                for (c = 0; c < 3 && row->body[k] == index; ++c)
+                    x[3 * (size_t)row->node[k] + (size_t)c] +=
+                        row->weight[k] * (change ? row->change[c] : row->impulse[c]);
+        }
 }
 
 /* Enters the impulses x in what the step has of the caller's: energy budget and rejected steps take it from there. */
@@ -34174,7 +34254,7 @@ static sfem_real sfemi_contact_negligible(const sfem_contact *c, const sfemi_tou
     return t->fallback ? fmin(part, 1e-3 * t->tolerance) : 10 * part;
 }
 
-/* The cones of an island with its bodies at w' - dir, or in the trial at c->w (one body). Leaves the rows' changes,
+/* The cones of an island with its bodies at w' - dir, or in the trial. Leaves the rows' changes,
  * and in each body what energy they are, and all impulses. */
 static sfem_status sfemi_contact_press(sfem_contact *c, sfemi_island island, int trial, sfem_error *err)
 {
@@ -34191,15 +34271,18 @@ static sfem_status sfemi_contact_press(sfem_contact *c, sfemi_island island, int
         sfem_real v[3];
         for (k = 0; k < 3; ++k) {
             const size_t at = 3 * (size_t)c->node[i].node + (size_t)k;
-            v[k] = trial ? c->w[at] : t->done ? g->w[at] : g->w[at] - g->dir[at];
+            v[k] = trial ? sfemi_contact_trial_velocity_at(t, at) : t->done ? g->w[at] : g->w[at] - g->dir[at];
         }
         for (k = 0; k < 3; ++k) c->v[3 * i + k] = q[k] * v[0] + q[3 + k] * v[1] + q[6 + k] * v[2];
     }
     for (i = island.first; i < island.first + island.count; ++i) {
         sfemi_touch *t = c->touch + i;
         sfem_int j;
-        for (j = 0; j < t->rows; ++j)
-            sfemi_contact_set_up_row(c, t, t->row + j, t->body->step.h, sfemi_contact_span(t));
+        for (j = 0; j < t->rows; ++j) {
+            memset(t->row[j].change, 0, sizeof t->row[j].change);
+            if (sfemi_contact_is_within(c, island, t->row + j))
+                sfemi_contact_set_up_row(c, t, t->row + j, t->body->step.h, sfemi_contact_span(t));
+        }
     }
     memcpy(c->v0, c->v, 3 * (size_t)c->nodes * sizeof *c->v);
     sfemi_contact_sweep(c, count);
@@ -34209,6 +34292,7 @@ static sfem_status sfemi_contact_press(sfem_contact *c, sfemi_island island, int
         for (j = 0; j < t->rows; ++j) {
             sfemi_row *row = t->row + j;
             sfem_real dl[3];
+            if (!sfemi_contact_is_within(c, island, row)) continue;
             for (k = 0; k < 3; ++k) {
                 sfem_real l = 0;
                 for (a = 0; a < 3; ++a) l += row->axes[3 * a + k] * row->l[a];
@@ -34255,7 +34339,7 @@ static sfem_real sfemi_contact_response(const sfemi_touch *t, const sfem_real *b
     int k, a;
     for (i = 0; i < t->rows; ++i)
         for (k = 0; k < t->row[i].parts; ++k)
-            for (a = 0; a < 3; ++a) {
+            for (a = 0; a < 3 && t->row[i].body[k] == t->row[i].body[0]; ++a) {
                 const size_t at = 3 * (size_t)t->row[i].node[k] + (size_t)a;
                 does += t->row[i].weight[k] * t->row[i].change[a] * (after[at] - (before ? before[at] : 0));
             }
@@ -34270,12 +34354,12 @@ static void sfemi_contact_drop_far(sfem_contact *c, sfemi_touch *t)
     sfem_int i, kept = 0;
     for (i = 0; i < t->rows; ++i) {
         const sfemi_row *row = t->row + i;
-        const sfemi_obstacle *o = c->obstacle + row->obstacle;
+        const sfemi_obstacle *o = row->obstacle < 0 ? NULL : c->obstacle + row->obstacle;
         sfem_real x[3], y[3];
         sfemi_contact_point_of(t, row, NULL, 0, x);
-        sfemi_obstacle_to_local(o->from, o->from_axes, x, y);
-        sfemi_sub3(y, row->local_place, y);
-        if (sfemi_dot3(row->local_normal, y) > t->edge) continue;
+        if (o) sfemi_obstacle_to_local(o->from, o->from_axes, x, y);
+        if (o) sfemi_sub3(y, row->local_place, y);
+        if (o && sfemi_dot3(row->local_normal, y) > t->edge) continue;
         t->row[kept++] = *row;
     }
     c->rows -= t->rows - kept;
@@ -34291,12 +34375,12 @@ static sfem_status sfemi_contact_begin(sfem_contact *c, sfemi_touch *t, sfem_rea
     int k;
     size_t at;
     sfemi_contact_drop_far(c, t);
-    b->rotated.by_hand = t->rows > 0 || b->state.head->step_forces;
+    b->rotated.by_hand = t->rows > 0 || c->shared || b->state.head->step_forces;
     b->kicked = 0;
     t->fallback = t->lost = 0;
     status = sfemi_body_predict(b, h, err);
     if (status == SFEM_OK) sfemi_step_force_apply(b);
-    if (status != SFEM_OK || !t->rows) return status;
+    if (status != SFEM_OK || !(t->rows || c->shared)) return status;
     for (i = 0; i < t->rows; ++i)
         for (k = 0; k < 3; ++k) t->row[i].impulse[k] = sfemi_contact_span(t) * t->row[i].force[k];
     sfemi_contact_transpose(c, t, 0, c->x);
@@ -34344,6 +34428,75 @@ static sfem_status sfemi_contact_try(sfem_contact *c, sfem_int index, sfem_error
     }
     b->phase = SFEMI_SOLVED;
     if (b->scheme.rotates) sfemi_safeguard_advance(b);
+done:
+    return status;
+}
+
+/* Changes of the rows' impulses of an island, times part, go through A^-1 of each of its bodies into their trials.
+ * *does: J, what they do along the rows. */
+static void sfemi_contact_respond_all(sfem_contact *c, sfemi_island island, sfem_real part, sfem_real *does)
+{
+    sfem_int i;
+    *does = 0;
+    for (i = island.first; i < island.first + island.count; ++i) {
+        sfemi_touch *t = c->touch + i;
+        const size_t n = t->used && !t->method && !t->rests ? 3 * (size_t)t->body->model->mesh.nodes : 0;
+        size_t at;
+        if (!n) continue;
+        sfemi_contact_transpose(c, t, 1, c->x);
+        memcpy(c->y, c->x, n * sizeof *c->y);
+        sfemi_contact_respond(c, t, c->y);
+        for (at = 0; at < n; ++at) {
+            *does += c->x[at] * c->y[at];
+            t->body->acc[at] += part * c->y[at] / t->body->step.d;
+        }
+    }
+}
+
+/* The cones of an island in the trial, rows over two bodies among them: each of the bodies has done its own before. An
+ * impulse is one for both, so that momenta stay, and so is the part of a change that is taken. Of linear bodies, whose step
+ * the trial is: corrections and rejected steps do not know such rows. */
+static sfem_status sfemi_contact_join(sfem_contact *c, sfemi_island island, sfem_error *err)
+{
+    enum { ROUNDS = 3 };
+    sfem_status status = SFEM_OK;
+    sfem_int i, j;
+    int round, a, k;
+    for (i = island.first; i < island.first + island.count; ++i)
+        for (j = 0; j < c->touch[i].rows; ++j)
+            for (k = 0; k < c->touch[i].row[j].parts; ++k)
+                if (c->touch[i].row[j].body[k] != i && (c->touch[c->touch[i].row[j].body[k]].body->scheme.rotates ||
+                                                        c->touch[i].body->scheme.rotates))
+                    return sfemi_fail(err, SFEM_BAD_ARGUMENT, "bodies %d and %d touch each other: both must be linear",
+                                      (int)i, (int)c->touch[i].row[j].body[k]);
+    for (round = 0; round < ROUNDS; ++round) {
+        sfem_real change = 0, size = 0, expected = 0, does, part, twice;
+        SFEMI_TRY(sfemi_contact_press(c, island, 1, err));
+        for (i = island.first; i < island.first + island.count; ++i) {
+            change += c->touch[i].change;
+            size += c->touch[i].size;
+            expected += c->touch[i].expected;
+        }
+        if (!(change > c->def.tolerance * c->def.tolerance * size)) break;
+        sfemi_contact_respond_all(c, island, 1, &does);
+        part = expected > 0 ? 1 / fmax(1.0, does / expected) : 1;
+        if (part < 1) sfemi_contact_respond_all(c, island, part - 1, &twice);
+        for (i = island.first; i < island.first + island.count; ++i)
+            for (j = 0; j < c->touch[i].rows; ++j)
+                for (a = 0; a < 3; ++a) {
+                    sfemi_row *row = c->touch[i].row + j;
+                    row->change[a] *= part;
+                    row->impulse[a] += row->change[a];
+                }
+        for (i = island.first; i < island.first + island.count; ++i) {
+            if (!c->touch[i].used || c->touch[i].method || c->touch[i].rests) continue;
+            sfemi_contact_transpose(c, c->touch + i, 1, c->x);
+            sfemi_contact_book(c->touch + i, c->x);
+            SFEMI_TRY(sfemi_method_check_acceleration(c->touch[i].body, err));
+        }
+    }
+    for (i = island.first; i < island.first + island.count; ++i)
+        for (j = 0; j < c->touch[i].rows; ++j) memset(c->touch[i].row[j].change, 0, sizeof c->touch[i].row[j].change);
 done:
     return status;
 }
@@ -35077,7 +35230,7 @@ static int sfemi_contact_find_impact(sfem_contact *c, sfemi_touch *t)
     sfem_real change = 0, size = 0;
     sfem_int i;
     int k;
-    if (t->fallback || !t->rows) return 0;
+    if (t->fallback || !(t->rows || c->shared)) return 0;
     for (i = 0; i < t->rows; ++i) {
         sfemi_row *row = t->row + i;
         const sfem_real now = sfemi_dot3(row->impulse, row->axes);
@@ -35087,7 +35240,7 @@ static int sfemi_contact_find_impact(sfem_contact *c, sfemi_touch *t)
         change += more;
         size += now;
     }
-    if (!(change > 0.1 * size)) return 0; /* it goes on as a force does */
+    if (!(change > 0.1 * size) && !c->shared) return 0; /* it goes on as a force does */
     sfemi_contact_transpose(c, t, 1, c->x);
     sfemi_contact_respond(c, t, c->x);
     for (i = 0; i < 3 * b->model->mesh.nodes; ++i) c->x[i] /= b->step.d;
@@ -35117,20 +35270,23 @@ static void sfemi_contact_settle_rows(sfem_contact *c, sfemi_touch *t)
         sfem_real x[3];
         for (k = 0; k < row->parts; ++k)
             for (a = 0; a < 3; ++a) {
+                const sfemi_touch *of = c->touch + row->body[k]; /* not taken yet: its number is not lower */
                 const size_t at = 3 * (size_t)row->node[k] + (size_t)a;
-                c->info.work += row->weight[k] * row->impulse[a] * (t->fallback ? w1[at] : (w[at] + w1[at]) / 2);
+                const sfem_real before = of == t ? w[at] : of->body->state.w[at];
+                const sfem_real after = of == t ? w1[at] : sfemi_contact_mean_velocity(of, at);
+                c->info.work += row->weight[k] * row->impulse[a] * (t->fallback ? after : (before + after) / 2);
             }
         for (k = 0; k < 3; ++k) row->force[k] = row->impulse[k] / span;
         if (sfemi_dot3(row->impulse, row->impulse) == 0) continue;
         if (row->parts == 3 && sfemi_contact_face_is_broken(t, row->node)) continue;
-        c->info.moved += sfemi_contact_booked(c, t, row, w1);
+        if (row->obstacle >= 0) c->info.moved += sfemi_contact_booked(c, t, row, w1);
         c->info.pushed += row->pushed;
         sfemi_contact_point_of(t, row, w1, b->step.h, row->position);
         sfemi_sub3(row->position, row->place, x);
         row->gap = sfemi_dot3(row->axes, x);
         row->fresh = 0;
         row->bounce = 0;
-        if (sfemi_obstacle_moves(c->obstacle + row->obstacle)) sfemi_sleep_wake_up(b);
+        if (row->obstacle < 0 || sfemi_obstacle_moves(c->obstacle + row->obstacle)) sfemi_sleep_wake_up(b);
         t->row[kept++] = *row;
     }
     c->rows -= t->rows - kept;
@@ -35211,7 +35367,8 @@ static void sfemi_contact_undo(sfem_contact *c)
             if (!t->row[k].fresh) t->row[kept++] = t->row[k];
         c->rows -= t->rows - kept;
         t->rows = kept;
-        if (t->rests) continue;
+        if (t->method) t->method->undo(t);
+        if (t->method || t->rests) continue;
         sfemi_body_undo(t->body);
         t->body->state.head->sleep = t->sleep;
     }
@@ -35231,7 +35388,7 @@ static int sfemi_contact_rests(sfem_contact *c, sfemi_touch *t, sfem_real h, sfe
     if (!near) return 1;
     memset(c->w, 0, n * sizeof *c->w);
     *status = sfemi_contact_detect(c, t, c->w, h, &found, err);
-    for (k = 0, near = 0; k < t->rows; ++k) near |= c->obstacle[t->row[k].obstacle].stirred;
+    for (k = 0, near = 0; k < t->rows; ++k) near |= t->row[k].obstacle >= 0 && c->obstacle[t->row[k].obstacle].stirred;
     if (!near) { /* nothing new, then, but with what it lies on */
         c->rows -= t->rows - before;
         t->rows = before;
@@ -35244,7 +35401,7 @@ static sfem_status sfemi_contact_check_step(const sfem_contact *c, sfem_real h, 
     sfem_int i;
     sfem_status status = sfemi_body_check_step(h, err);
     for (i = 0; status == SFEM_OK && i < c->touches; ++i)
-        if (c->touch[i].used && c->touch[i].body->phase != SFEMI_IDLE)
+        if (c->touch[i].used && !c->touch[i].method && c->touch[i].body->phase != SFEMI_IDLE)
             status = sfemi_fail(err, SFEM_BAD_ARGUMENT,
                                 "body %d is between sfem_body_predict and sfem_body_finish: finish its step first",
                                 (int)i);
@@ -35260,6 +35417,10 @@ static sfem_status sfemi_contact_solve(sfem_contact *c, sfem_real h, sfem_error 
     for (i = 0; i < c->touches; ++i) {
         sfemi_touch *t = c->touch + i;
         if (!t->used) continue;
+        if (t->method) {
+            SFEMI_TRY(t->method->solve(c, t, h, err));
+            continue;
+        }
         t->sleep = t->body->state.head->sleep;
         t->rests = sfemi_contact_rests(c, t, h, err, &status);
         if (status != SFEM_OK) return status;
@@ -35268,10 +35429,15 @@ static sfem_status sfemi_contact_solve(sfem_contact *c, sfem_real h, sfem_error 
         SFEMI_TRY(sfemi_columns_expect(c, t, h, err));
         SFEMI_TRY(sfemi_contact_try(c, i, err));
     }
+    if (c->shared) {
+        island.first = 0;
+        island.count = c->touches;
+        SFEMI_TRY(sfemi_contact_join(c, island, err));
+    }
     island.count = 1;
     for (island.first = 0; island.first < c->touches; ++island.first) {
         sfemi_touch *t = c->touch + island.first;
-        if (!t->used || t->rests) continue;
+        if (!t->used || t->method || t->rests) continue;
         if (t->rows) SFEMI_TRY(sfemi_contact_correct(c, island, err));
         else if (t->body->scheme.rotates == SFEMI_CORRECTS) sfemi_correct(t->body);
         SFEMI_TRY(sfemi_method_check_acceleration(t->body, err));
@@ -35310,7 +35476,8 @@ done:
         return status;
     }
     for (i = 0; i < c->touches; ++i)
-        if (c->touch[i].used) {
+        if (c->touch[i].method) c->touch[i].method->take(c, c->touch + i, h);
+        else if (c->touch[i].used) {
             c->touch[i].body->step.h = h;
             sfemi_contact_take(c, c->touch + i);
         }
@@ -35415,7 +35582,7 @@ static void sfemi_contact_forget_obstacle(sfem_contact *c, sfem_int id)
         for (k = kept = 0; k < t->rows; ++k)
             if (t->row[k].obstacle != id) t->row[kept++] = t->row[k];
         if (kept == t->rows) continue;
-        sfem_body_wake(t->body);
+        if (!t->method) sfem_body_wake(t->body);
         c->rows -= t->rows - kept;
         t->rows = kept;
     }
@@ -35432,6 +35599,8 @@ static void sfemi_contact_free_touch(sfem_contact *c, sfemi_touch *t)
 {
     const sfem_allocator *al = &c->def.allocator;
     sfemi_columns_release(c, t);
+    if (t->method) t->method->release(c, t);
+    sfemi_delete(al, t->place_of);
     c->rows -= t->rows;
     sfemi_delete(al, t->node);
     sfemi_delete(al, t->tri);
@@ -35558,6 +35727,7 @@ SFEM_DEF sfem_status sfem_contact_add_body(sfem_contact *c, sfem_body *body, con
     t->body = body;
     t->contact = *s;
     t->whole = body->damage != NULL;
+    t->mesh_nodes = body->model->mesh.nodes;
     SFEMI_TRY(sfemi_contact_collect(c, t, regions, err));
     t->used = 1;
     if (at == c->touches) ++c->touches;
@@ -35755,10 +35925,10 @@ SFEM_DEF sfem_contact_info sfem_contact_get_info(const sfem_contact *c)
     for (i = 0; i < c->touches; ++i) {
         const sfemi_touch *t = c->touch + i;
         if (!t->used) continue;
-        info.bytes += (t->g_room + t->g_next_room) * sizeof(float) + (size_t)t->g_node_room * sizeof(sfem_int);
+        info.bytes += t->own_bytes + (t->g_room + t->g_next_room) * sizeof(float) + (size_t)t->g_node_room * sizeof(sfem_int);
         info.bytes += (size_t)t->room * sizeof *t->row + (size_t)t->owed_room * sizeof(sfem_real) +
                       6 * (size_t)t->nodes * sizeof(sfem_real) +
-                      (size_t)(t->nodes + 3 * t->triangles + t->body->model->mesh.nodes) * sizeof(sfem_int);
+                      (size_t)(t->nodes + 3 * t->triangles + (t->method ? 2 : 1) * t->mesh_nodes) * sizeof(sfem_int);
     }
     return info;
 }
@@ -35842,7 +36012,7 @@ static int sfemi_contact_check_rows(const void *shape, const char *at, size_t co
             row.obstacle >= c->obstacles || !c->obstacle[row.obstacle].used || row.pushed < 0 || row.pushed > 1)
             return 0;
         t = c->touch + row.body;
-        face = row.feature - t->body->model->mesh.nodes;
+        face = row.feature - t->mesh_nodes;
         if (row.feature < 0 || face >= t->triangles || (face < 0 && sfemi_contact_find_node(t, row.feature) < 0)) return 0;
         if (!sfemi_all_finite(row.weight, offsetof(sfemi_saved_row, body) / sizeof(sfem_real))) return 0;
         if (!(fabs(sfemi_dot3(row.local_normal, row.local_normal) - 1) < 1e-6)) return 0;
@@ -35875,7 +36045,7 @@ static uint64_t sfemi_contact_key(const sfem_contact *c)
     sfem_int i;
     for (i = 0; i < c->touches; ++i) {
         const sfemi_touch *t = c->touch + i;
-        const int64_t shape[4] = {t->used, t->nodes, t->triangles, t->used ? t->body->model->mesh.nodes : 0};
+        const int64_t shape[4] = {t->used + (t->method != NULL), t->nodes, t->triangles, t->mesh_nodes};
         hash = sfemi_hash(hash, shape, sizeof shape);
     }
     for (i = 0; i < c->obstacles; ++i) {
@@ -35959,7 +36129,7 @@ SFEM_DEF void sfem_contact_save_state(const sfem_contact *c, void *memory)
 
 static void sfemi_contact_load_row(const sfem_contact *c, const sfemi_touch *t, const sfemi_saved_row *from, sfemi_row *row)
 {
-    const sfem_int face = from->feature - t->body->model->mesh.nodes;
+    const sfem_int face = from->feature - t->mesh_nodes;
     int k;
     memset(row, 0, sizeof *row);
     row->feature = from->feature;
@@ -41503,6 +41673,898 @@ SFEM_DEF sfem_modal_info sfem_modal_get_info(const sfem_modal *b)
     return info;
 }
 #endif /* SFEM_NO_REDUCED */
+
+#if !defined(SFEM_NO_REDUCED) && !defined(SFEM_NO_CONTACT)
+/* ============================================================================================
+ * >>impact   modal bodies against obstacles
+ *
+ * Rows, planes, detection and cones are those of >>contact. A step:
+ *   1. what is inside an obstacle moves out of it, by a part of the way, as a shift of q and the frame without velocity
+ *   2. the step without contact; rows of what it meets
+ *   3. impacts: v = J S q' at the start of the step, v + J S M^-1 S J^T l1 may close gaps, no more. Trapezoidal steps
+ *      would return the rest of it with the sign changed: a body at rest on the floor would ring
+ *   4. what rings sideways is stopped likewise, by less friction than the last step's forces allow. What slides is not
+ *   5. forces, constant over the step, for the gaps at its end: the step with them, cones, the step again .. Their friction
+ *      is what the cone has left of that of 4
+ * The response to l1, of 3 and 4, is S^2/M, to l2 it is P/h^2, with S = 2 M P/h^2: 1/(1 + (omega h)^2/4) of Newmark's
+ * oscillators. With that (l1, J S q') and (l2/h, J dq) are pairs of work: l1.(v + v+)/2 and l2.dx/h are what the energy
+ * changes by, and neither is positive at obstacles at rest.
+ *
+ * Literature: Deuflhard, Krause, Ertel 2008, "A contact-stabilized Newmark method for dynamical contact problems"; Kane,
+ * Repetto, Ortiz, Marsden 1999.
+ * ============================================================================================ */
+
+typedef enum sfemi_impact_kind {
+    SFEMI_IMPACT_PUSH,
+    SFEMI_IMPACT_STRIKE,
+    SFEMI_IMPACT_STICK,
+    SFEMI_IMPACT_FORCE
+} sfemi_impact_kind;
+
+typedef struct sfemi_impact {
+    sfem_modal *modal;
+    sfem_reduced_view *view;  /* of the touch's nodes */
+    char *before, *start;     /* [small_bytes] its states: before the step; from where 5 starts */
+    int stepped;              /* it is in a step: `before` is good */
+    sfem_real *share;         /* [stride] S */
+    sfem_real *strike, *force; /* [stride] S^2/M, P/h^2 */
+    const sfem_real *response; /* that of the system, */
+    sfem_real part;            /* and of the frame: 1 or 1/2 of what an impulse does to its velocity */
+    sfemi_impact_kind kind;
+    sfem_real *rows;           /* [nodes of the system][3][stride] J, */
+    sfem_real *arm;            /* [nodes of the system][3] from the centre, */
+    size_t row_room, arm_room;
+    sfem_real inverse[9];      /* of the inertia in space, at the start */
+    sfem_real spin[3];         /* angular velocity there */
+    sfem_real *load, sum[3], torque[3]; /* [stride] J^T l; on the frame */
+    sfem_real middle[3], half[3]; /* the box of its nodes at rest */
+    sfem_real work, moved;     /* J, of the step */
+} sfemi_impact;
+
+static sfemi_impact *sfemi_impact_part(const sfemi_touch *t) { return (sfemi_impact *)t->part; }
+
+/* ---- where it is ---- */
+
+static const sfemi_modal_head *sfemi_impact_head(const char *state) { return (const sfemi_modal_head *)(const void *)state; }
+
+/* An array of a saved state, by the body's own. */
+static const sfem_real *sfemi_impact_of(const sfemi_impact *m, const char *state, const sfem_real *array)
+{
+    return (const sfem_real *)(const void *)(state + ((const char *)array - (const char *)m->modal->head));
+}
+
+static void sfemi_impact_save(const sfemi_impact *m, char *state) { memcpy(state, m->modal->head, m->modal->small_bytes); }
+
+static void sfemi_impact_restore(const sfemi_impact *m, const char *state)
+{
+    memcpy(m->modal->head, state, m->modal->small_bytes);
+    sfemi_modal_pack(m->modal);
+}
+
+/* The box grows by that of its nodes now: no mode moves a node by more than its amplitude, warped or not. */
+static void sfemi_impact_grow_box(const sfemi_impact *m, sfem_real box[2][3])
+{
+    const sfem_modal *b = m->modal;
+    const sfem_reduced *r = b->reduced;
+    sfem_real middle[3], half[3], reach = 0;
+    size_t k;
+    int c;
+    memcpy(middle, m->middle, sizeof middle);
+    memcpy(half, m->half, sizeof half);
+    for (k = 0; k < b->m; ++k) reach += r->amplitude[k] * fabs(b->q[k]);
+    if (r->head->free) {
+        const sfem_real *p = b->head->rigid.r;
+        for (c = 0; c < 3; ++c)
+            half[c] = fabs(p[3 * c]) * m->half[0] + fabs(p[3 * c + 1]) * m->half[1] + fabs(p[3 * c + 2]) * m->half[2];
+        sfemi_sub3(m->middle, r->head->centre, middle);
+        sfemi_rotated_vector(p, middle, middle);
+        for (c = 0; c < 3; ++c) middle[c] += b->head->rigid.x[c];
+    }
+    for (c = 0; c < 3; ++c) {
+        box[0][c] = fmin(box[0][c], middle[c] - half[c] - reach);
+        box[1][c] = fmax(box[1][c], middle[c] + half[c] + reach);
+    }
+}
+
+/* J of a node at the start: how its place follows q. rows [3][stride]. */
+static void sfemi_impact_rows(const sfemi_impact *m, sfem_int node, sfem_real *rows)
+{
+    const sfem_modal *b = m->modal;
+    const sfem_reduced *r = b->reduced;
+    const size_t stride = b->stride;
+    const sfem_real *q = sfemi_impact_of(m, m->start, b->q), *p = sfemi_impact_head(m->start)->rigid.r;
+    sfem_real t[9] = {1, 0, 0, 0, 1, 0, 0, 0, 1}, d[9], w[3], u[3], turned[9];
+    memset(rows, 0, 3 * stride * sizeof *rows);
+    if (b->def.warp != SFEM_WARP_NONE) {
+        sfemi_modal_linear(b, node, q, u);
+        sfemi_modal_rotation(b, node, q, w);
+        sfemi_rotated_matrix(sfemi_modal_path_kind(b), w, t);
+        sfemi_rotated_derivative(sfemi_modal_path_kind(b), w, u, d);
+        if (r->head->free) {
+            sfemi_mul3(p, d, turned);
+            memcpy(d, turned, sizeof d);
+        }
+        sfemi_handle_add_rows(stride, 1, d, r->psi + 3 * stride * (size_t)node, rows);
+    }
+    if (r->head->free) {
+        sfemi_mul3(p, t, turned);
+        memcpy(t, turned, sizeof t);
+    }
+    sfemi_handle_add_rows(stride, 1, t, r->phi + 3 * stride * (size_t)node, rows);
+}
+
+/* ---- the system ---- */
+
+/* What an impulse does to each mode, in steps of h. */
+static void sfemi_impact_coefficients(sfemi_impact *m, sfem_real h)
+{
+    sfem_modal *b = m->modal;
+    const sfem_reduced *r = b->reduced;
+    const int held = b->head->handles > 0;
+    const sfem_real beta = held ? b->def.handle_beta : b->def.beta, gamma = held ? b->def.handle_gamma : b->def.gamma;
+    size_t k;
+    sfemi_modal_coefficients(b, h, beta, gamma);
+    for (k = 0; k < b->m; ++k) {
+        sfem_real p;
+        if (b->def.integrator == SFEM_MODAL_EXACT && !held)
+            p = sfemi_oscillator_make(r->lambda[k], r->damping[k] / 2, h).p;
+        else { /* a force at both ends of the step */
+            const sfem_real a0 = b->light[k], q = h * h * (0.5 - beta) * a0, v = (1 - gamma) * h * a0;
+            p = q + beta * h * h * b->inverse[k] * (1 - b->drag[k] * v - r->lambda[k] * q);
+        }
+        m->force[k] = fmax(0.0, p / (h * h));
+        m->share[k] = 2 * b->mass[k] * m->force[k];
+        m->strike[k] = m->share[k] * m->share[k] * b->light[k];
+    }
+}
+
+/* Takes the state as that of the start. */
+static void sfemi_impact_set_out(sfemi_impact *m)
+{
+    const sfem_modal *b = m->modal;
+    sfem_real half[9];
+    sfemi_impact_save(m, m->start);
+    if (!b->reduced->head->free) return;
+    sfemi_mul3(b->head->rigid.r, b->reduced->head->inverse, half);
+    sfemi_mul3_nt(half, b->head->rigid.r, m->inverse);
+    sfemi_rotated_vector(m->inverse, b->head->momentum, m->spin);
+}
+
+/* Of the frame: what an impulse at arm `from` does to the velocity at arm `to`. */
+static void sfemi_impact_frame_block(const sfemi_impact *m, const sfem_real *from, const sfem_real *to, sfem_real block[9])
+{
+    const sfem_real mass = m->modal->reduced->head->mass;
+    int a, k;
+    for (a = 0; a < 3; ++a) { /* column a */
+        sfem_real turn[3] = {0, 0, 0}, unit[3] = {0, 0, 0}, spin[3], v[3];
+        unit[a] = 1;
+        sfemi_cross(from, unit, turn);
+        sfemi_rotated_vector(m->inverse, turn, spin);
+        sfemi_cross(spin, to, v);
+        for (k = 0; k < 3; ++k) block[3 * k + a] = m->part * (v[k] + (k == a ? 1 / mass : 0));
+    }
+}
+
+/* The compact G of its nodes, of the present kind of system. */
+static sfem_status sfemi_impact_gather(sfem_contact *c, sfemi_touch *t, sfem_int first, sfem_int count, sfem_error *err)
+{
+    sfemi_impact *m = sfemi_impact_part(t);
+    const sfem_modal *b = m->modal;
+    const size_t stride = sfemi_contact_stride(count), s3 = 3 * b->stride;
+    const int64_t key = 4 * c->step + 1 + (m->kind == SFEMI_IMPACT_STICK ? (int64_t)SFEMI_IMPACT_STRIKE : (int64_t)m->kind);
+    sfem_status status = SFEM_OK;
+    sfem_int i, j;
+    size_t k;
+    int a, e, same = t->g_of == key && t->g_nodes == count;
+    for (i = 0; same && i < count; ++i) same = t->g_node[i] == c->node[first + i].node;
+    if (!same) {
+        t->g_of = 0;
+        SFEMI_CONTACT_ROOM(c, t->g, t->g_room, 3 * (size_t)count * stride);
+        SFEMI_CONTACT_LIST(c, t->g_node, t->g_node_room, count);
+        SFEMI_CONTACT_ROOM(c, m->rows, m->row_room, (size_t)count * s3);
+        SFEMI_CONTACT_ROOM(c, m->arm, m->arm_room, 3 * (size_t)count);
+    }
+    for (i = 0; i < count; ++i) {
+        c->node[first + i].first = first;
+        c->node[first + i].count = count;
+        c->node[first + i].g = t->g + 3 * (size_t)i * stride;
+        if (same) continue;
+        t->g_node[i] = c->node[first + i].node;
+        sfemi_impact_rows(m, t->g_node[i], m->rows + (size_t)i * s3);
+        sfemi_sub3(t->x0 + 3 * (size_t)t->place_of[t->g_node[i]], sfemi_impact_head(m->start)->rigid.x, m->arm + 3 * (size_t)i);
+    }
+    for (i = 0; !same && i < count; ++i) {
+        float *g = t->g + 3 * (size_t)i * stride;
+        memset(g, 0, 3 * stride * sizeof *g);
+        for (a = 0; a < 3; ++a) {
+            for (k = 0; k < b->stride; ++k)
+                m->load[k] = k < b->m ? m->response[k] * m->rows[(size_t)i * s3 + (size_t)a * b->stride + k] : 0;
+            for (j = 0; j < count; ++j) {
+                sfem_real v[3];
+                b->kernels->dot3(b->stride, m->rows + (size_t)j * s3, m->load, v);
+                for (e = 0; e < 3; ++e) g[(size_t)a * stride + 3 * (size_t)j + (size_t)e] = (float)v[e];
+            }
+        }
+        for (j = 0; b->reduced->head->free && j < count; ++j) {
+            sfem_real block[9];
+            sfemi_impact_frame_block(m, m->arm + 3 * (size_t)i, m->arm + 3 * (size_t)j, block);
+            for (a = 0; a < 3; ++a)
+                for (e = 0; e < 3; ++e) g[(size_t)a * stride + 3 * (size_t)j + (size_t)e] += (float)block[3 * e + a];
+        }
+    }
+    t->g_nodes = count;
+    t->g_of = key;
+    t->own_bytes = sizeof *m + 2 * b->small_bytes + (4 * b->stride + m->row_room + m->arm_room) * sizeof(sfem_real);
+done:
+    return status;
+}
+
+/* J S q' of a node of the system, number i of the body's, at the start. */
+static void sfemi_impact_velocity(const sfemi_impact *m, sfem_int i, sfem_real v[3])
+{
+    const sfem_modal *b = m->modal;
+    const sfem_real *v0 = sfemi_impact_of(m, m->start, b->v);
+    size_t k;
+    int c;
+    for (k = 0; k < b->stride; ++k) m->load[k] = k < b->m ? m->share[k] * v0[k] : 0;
+    b->kernels->dot3(b->stride, m->rows + 3 * b->stride * (size_t)i, m->load, v);
+    if (!b->reduced->head->free) return;
+    {
+        sfem_real turn[3];
+        sfemi_cross(m->spin, m->arm + 3 * (size_t)i, turn);
+        for (c = 0; c < 3; ++c) v[c] += sfemi_impact_head(m->start)->rigid.v[c] + turn[c];
+    }
+}
+
+/* m: how far a row's point is from its plane where both are at the start of the step. */
+static sfem_real sfemi_impact_gap(const sfem_contact *c, const sfemi_touch *t, const sfemi_row *row)
+{
+    const sfemi_obstacle *o = c->obstacle + row->obstacle;
+    sfem_real x[3], y[3], gap;
+    sfemi_contact_point_of(t, row, NULL, 0, x);
+    sfemi_obstacle_to_local(o->from, o->from_axes, x, y);
+    sfemi_sub3(y, row->local_place, y);
+    gap = sfemi_dot3(row->local_normal, y);
+    return gap < 0 ? fmin(0.0, gap + row->compliance * sfemi_dot3(row->axes, row->force)) : gap;
+}
+
+/* m: penetration that is not pushed out. */
+static sfem_real sfemi_impact_slop(const sfemi_touch *t) { return 1e-4 * t->edge; }
+
+/* A row of the system: by >>contact, but for what it is pushed by, how it leaves, and what friction acts on. It gives by
+ * a part of its own compliance: rows that few modes contradict would else have no solution. */
+static void sfemi_impact_set_up_row(const sfem_contact *c, const sfemi_touch *t, sfemi_row *row, sfem_real h)
+{
+    const sfemi_impact *m = sfemi_impact_part(t);
+    const sfem_real gap = sfemi_impact_gap(c, t, row), give = 1e-4, *g = m->modal->head->gravity;
+    const sfem_real e = fmax(t->contact.restitution, c->obstacle[row->obstacle].def.contact.restitution);
+    sfem_real v[3] = {0, 0, 0}, cofactor[9], det;
+    int k, a;
+    row->pushed = gap < -sfemi_impact_slop(t);
+    row->least = fmin(0.0, gap + sfemi_impact_slop(t)); /* what is less comes back at once */
+    row->bounce = 0;
+    for (k = 0; m->kind == SFEMI_IMPACT_STRIKE && e > 0 && k < row->parts; ++k)
+        for (a = 0; a < 3; ++a) v[a] += row->weight[k] * c->v[3 * (size_t)row->at[k] + (size_t)a];
+    for (a = 0; a < 3; ++a) v[a] -= row->speed[a];
+    if (m->kind == SFEMI_IMPACT_STRIKE && e > 0 && -sfemi_dot3(row->axes, v) > 2 * h * sqrt(sfemi_dot3(g, g)))
+        row->bounce = -e * sfemi_dot3(row->axes, v);
+    sfemi_contact_set_up_row(c, t, row, h, h);
+    if (m->kind == SFEMI_IMPACT_PUSH) {
+        row->bias[0] = row->pushed ? -fmin(c->def.push_share * -gap / h, c->def.push_speed) : fmax(0.0, gap / h);
+        row->bias[1] = row->bias[2] = 0;
+    }
+    if (m->kind == SFEMI_IMPACT_STICK) { /* the normal part is given, and stays */
+        row->d[0] *= 1e100;
+        row->d[1] = row->d[2] = row->d[3] = row->d[6] = row->soft = 0;
+        row->l[0] = fmax(0.0, h * sfemi_dot3(row->axes, row->force));
+    } else {
+        row->soft += give * row->d[0];
+        row->d[0] *= 1 + give;
+    }
+    sfemi_cofactor3(row->d, cofactor);
+    det = sfemi_dot3(row->d, cofactor);
+    for (a = 0; a < 9; ++a) row->inverse[a] = det > 0 ? cofactor[a % 3 * 3 + a / 3] / det : 0;
+}
+
+/* Friction that is given its normal part does not change that. */
+static void sfemi_impact_take_tangent(sfemi_touch *t)
+{
+    const sfem_real most = 0.9; /* of what friction may be */
+    sfem_int i;
+    for (i = 0; i < t->rows; ++i) {
+        sfemi_row *row = t->row + i;
+        const sfem_real bound = most * row->friction * row->l[0];
+        row->slides |= row->l[1] * row->l[1] + row->l[2] * row->l[2] > bound * bound;
+        row->l[0] = 0;
+    }
+}
+
+/* The cones, from the rows' impulses: leaves their changes; in t->change and t->size what energy these and the impulses
+ * are. Of changes that a few modes do not see, of rows that depend on each other, there is none. */
+static sfem_status sfemi_impact_press(sfem_contact *c, sfemi_touch *t, sfemi_impact_kind kind, sfem_real h, sfem_error *err)
+{
+    sfemi_impact *m = sfemi_impact_part(t);
+    sfem_status status = SFEM_OK;
+    sfemi_island island;
+    sfem_int count, i;
+    int a, k;
+    island.first = (sfem_int)(t - c->touch);
+    island.count = 1;
+    m->kind = kind;
+    m->response = kind == SFEMI_IMPACT_STRIKE || kind == SFEMI_IMPACT_STICK ? m->strike : m->force;
+    m->part = kind == SFEMI_IMPACT_STRIKE || kind == SFEMI_IMPACT_STICK ? 1 : 0.5;
+    t->change = t->size = 0;
+    SFEMI_TRY(sfemi_contact_assemble(c, island, &count, err));
+    for (i = 0; i < c->nodes; ++i) {
+        const size_t at = 3 * (size_t)t->place_of[c->node[i].node];
+        if (m->part == 1) sfemi_impact_velocity(m, i, c->v + 3 * (size_t)i);
+        else
+            for (a = 0; a < 3; ++a)
+                c->v[3 * i + a] = kind == SFEMI_IMPACT_PUSH ? 0 : (t->x1[at + (size_t)a] - t->x0[at + (size_t)a]) / h;
+    }
+    for (i = 0; i < t->rows; ++i) {
+        sfemi_impact_set_up_row(c, t, t->row + i, h);
+        if (kind == SFEMI_IMPACT_PUSH || (kind == SFEMI_IMPACT_STICK && t->row[i].slides)) t->row[i].friction = 0;
+    }
+    memcpy(c->v0, c->v, 3 * (size_t)c->nodes * sizeof *c->v);
+    sfemi_contact_sweep(c, count);
+    if (kind == SFEMI_IMPACT_STICK) sfemi_impact_take_tangent(t);
+    for (i = 0; i < t->rows; ++i) {
+        sfemi_row *row = t->row + i;
+        sfem_real dl[3];
+        for (k = 0; k < 3; ++k) {
+            sfem_real l = 0;
+            for (a = 0; a < 3; ++a) l += row->axes[3 * a + k] * row->l[a];
+            row->change[k] = l - row->impulse[k];
+        }
+        for (a = 0; a < 3; ++a) {
+            dl[a] = sfemi_dot3(row->axes + 3 * a, row->change);
+            t->size += row->l[a] * sfemi_dot3(row->d + 3 * a, row->l) / 2;
+        }
+        for (k = 0; k < row->parts; ++k)
+            for (a = 0; a < 3; ++a) {
+                const size_t at = 3 * (size_t)row->at[k];
+                const sfem_real dv[3] = {c->v[at] - c->v0[at], c->v[at + 1] - c->v0[at + 1], c->v[at + 2] - c->v0[at + 2]};
+                t->change += dl[a] * sfemi_dot3(row->rotated[k] + 3 * a, dv) / 2;
+            }
+        sfemi_contact_rate(c, t, row);
+    }
+done:
+    return status;
+}
+
+/* m->load = J^T of the rows' changes or impulses, and what they do to the frame. */
+static void sfemi_impact_transpose(const sfemi_touch *t, int change)
+{
+    sfemi_impact *m = sfemi_impact_part(t);
+    const sfem_modal *b = m->modal;
+    sfem_int i;
+    int k, a;
+    memset(m->load, 0, b->stride * sizeof *m->load);
+    memset(m->sum, 0, sizeof m->sum);
+    memset(m->torque, 0, sizeof m->torque);
+    for (i = 0; i < t->rows; ++i) {
+        const sfemi_row *row = t->row + i;
+        const sfem_real *l = change ? row->change : row->impulse;
+        if (sfemi_dot3(l, l) == 0) continue; /* new ones are in no system yet */
+        for (k = 0; k < row->parts; ++k) {
+            const sfem_real part[3] = {row->weight[k] * l[0], row->weight[k] * l[1], row->weight[k] * l[2]};
+            sfem_real turn[3];
+            b->kernels->add3(b->stride, m->rows + 3 * b->stride * (size_t)row->at[k], part, m->load);
+            sfemi_cross(m->arm + 3 * (size_t)row->at[k], part, turn);
+            for (a = 0; a < 3; ++a) m->sum[a] += part[a], m->torque[a] += turn[a];
+        }
+    }
+}
+
+/* ---- energy ---- */
+
+/* J, without that of loads. */
+static sfem_real sfemi_impact_energy(const sfemi_impact *m, sfem_real *kinetic)
+{
+    const sfem_modal *b = m->modal;
+    const sfemi_modal_head *head = b->head;
+    sfem_real elastic = 0, w[3];
+    size_t k;
+    *kinetic = 0;
+    for (k = 0; k < b->m; ++k) {
+        *kinetic += b->mass[k] * b->v[k] * b->v[k] / 2;
+        elastic += b->reduced->lambda[k] * b->q[k] * b->q[k] / 2;
+    }
+    if (b->reduced->head->free) {
+        sfemi_frame_velocity(b, head->rigid.r, head->momentum, w);
+        *kinetic += (b->reduced->head->mass * sfemi_dot3(head->rigid.v, head->rigid.v) + sfemi_dot3(w, head->momentum)) / 2;
+    }
+    return *kinetic + elastic;
+}
+
+/* The rotation vector of b a^T. */
+static void sfemi_impact_turn(const sfem_real a[9], const sfem_real b[9], sfem_real turn[3])
+{
+    sfem_real r[9], axis[3], sine, cosine;
+    int c;
+    sfemi_mul3_nt(b, a, r);
+    for (c = 0; c < 3; ++c) axis[c] = (r[3 * ((c + 2) % 3) + (c + 1) % 3] - r[3 * ((c + 1) % 3) + (c + 2) % 3]) / 2;
+    sine = sqrt(sfemi_dot3(axis, axis));
+    cosine = (r[0] + r[4] + r[8] - 1) / 2;
+    for (c = 0; c < 3; ++c) turn[c] = sine > 0 ? axis[c] * (atan2(sine, cosine) / sine) : 0;
+}
+
+/* J, of gravity and the caller's forces from the start to now, as trapezoidal steps have it. */
+static sfem_real sfemi_impact_load_work(const sfemi_impact *m)
+{
+    const sfem_modal *b = m->modal;
+    const sfemi_modal_head *from = sfemi_impact_head(m->start), *to = b->head;
+    const sfem_real *q = sfemi_impact_of(m, m->start, b->q), *f = sfemi_impact_of(m, m->start, b->f);
+    const sfem_real *step = sfemi_impact_of(m, m->start, b->step_load), mass = b->reduced->head->mass;
+    sfem_real work = 0, turn[3];
+    size_t k;
+    int c;
+    for (k = 0; k < b->m; ++k)
+        work += (((from->started ? f[k] : b->f[k]) + b->f[k]) / 2 + step[k]) * (b->q[k] - q[k]);
+    if (!b->reduced->head->free) return work;
+    sfemi_impact_turn(from->rigid.r, to->rigid.r, turn);
+    for (c = 0; c < 3; ++c) {
+        const sfem_real *accel = from->started ? from->accel : to->accel, *torque = from->started ? from->torque : to->torque;
+        work += (mass * (accel[c] + to->accel[c]) / 2 + from->step_force[c]) * (to->rigid.x[c] - from->rigid.x[c]) +
+                ((torque[c] + to->torque[c]) / 2 + from->step_torque[c]) * turn[c];
+    }
+    return work;
+}
+
+/* Adds to q, with the acceleration that goes with it; scales velocities likewise. */
+static void sfemi_impact_shift_mode(sfem_modal *b, size_t k, sfem_real dq, sfem_real dv)
+{
+    b->q[k] += dq;
+    b->v[k] += dv;
+    if (b->head->started) b->a[k] -= b->light[k] * (b->reduced->lambda[k] * dq + b->drag[k] * dv);
+}
+
+/* Contact makes no energy: what there is beyond `allowed` is taken from the velocities, and where these do not have it, the
+ * modes stay where they were. before: the energy at the start. */
+static void sfemi_impact_bound(sfem_contact *c, const sfemi_touch *t, sfem_real before, sfem_real allowed)
+{
+    sfemi_impact *m = sfemi_impact_part(t);
+    const sfem_real rounding = 1e-10 * t->size; /* cones are solved to 1e-6, with floats */
+    sfem_modal *b = m->modal;
+    sfemi_modal_head *head = b->head;
+    const sfem_real *q = sfemi_impact_of(m, m->start, b->q);
+    sfem_real kinetic, scale;
+    const sfem_real energy = sfemi_impact_energy(m, &kinetic), excess = energy - before - sfemi_impact_load_work(m) - allowed;
+    size_t k;
+    int a;
+    if (head->handles > 0 || !(excess > 1e-12 * (energy + before) + rounding)) return;
+    scale = kinetic > excess ? sqrt(1 - excess / kinetic) : 0;
+    for (k = 0; k < b->m; ++k)
+        sfemi_impact_shift_mode(b, k, scale > 0 ? 0 : q[k] - b->q[k], (scale - 1) * b->v[k]);
+    for (a = 0; a < 3; ++a) head->rigid.v[a] *= scale, head->momentum[a] *= scale;
+    if (scale > 0) return;
+    sfemi_modal_pack(b);
+    ++c->info.rejected;
+}
+
+/* ---- the step ---- */
+
+/* The step from its start, with the rows' impulses as forces. */
+static sfem_status sfemi_impact_run(sfemi_touch *t, sfem_real h, sfem_error *err)
+{
+    sfemi_impact *m = sfemi_impact_part(t);
+    sfem_modal *b = m->modal;
+    sfem_status status;
+    size_t k;
+    int a;
+    sfemi_impact_transpose(t, 0);
+    sfemi_impact_restore(m, m->start);
+    for (k = 0; k < b->m; ++k) b->step_load[k] += m->load[k] / h;
+    for (a = 0; b->reduced->head->free && a < 3; ++a) {
+        b->head->step_force[a] += m->sum[a] / h;
+        b->head->step_torque[a] += m->torque[a] / h;
+    }
+    b->head->step_forces = 1;
+    status = sfem_modal_step(b, h, err);
+    if (status == SFEM_OK) sfem_modal_positions(b, m->view, t->x1);
+    return status;
+}
+
+/* New rows, and where the others' planes are now. */
+static sfem_status sfemi_impact_detect(sfem_contact *c, sfemi_touch *t, sfem_real h, sfem_int *found, sfem_error *err)
+{
+    const sfem_int before = t->rows;
+    sfem_status status = SFEM_OK;
+    sfem_real box[2][3];
+    sfem_int i;
+    int k;
+    for (k = 0; k < 3; ++k) box[0][k] = 1e300, box[1][k] = -1e300;
+    for (i = 0; i < t->nodes; ++i)
+        for (k = 0; k < 3; ++k) {
+            box[0][k] = fmin(box[0][k], fmin(t->x0[3 * i + k], t->x1[3 * i + k]));
+            box[1][k] = fmax(box[1][k], fmax(t->x0[3 * i + k], t->x1[3 * i + k]));
+        }
+    sfemi_contact_follow(c, t, t->x1, h);
+    for (i = 0; i < c->obstacles; ++i) {
+        if (!sfemi_contact_pair(t, c->obstacle + i) || sfemi_obstacle_is_far(c->obstacle + i, box, 1e-3 * t->edge))
+            continue;
+        SFEMI_TRY(sfemi_contact_detect_nodes(c, t, i, h, err));
+    }
+    for (i = 0; i < c->obstacles && t->rows == before; ++i) { /* as in >>contact */
+        if (c->obstacle[i].def.kind == SFEM_OBSTACLE_PLANE || !sfemi_contact_pair(t, c->obstacle + i) ||
+            sfemi_obstacle_is_far(c->obstacle + i, box, 1e-3 * t->edge))
+            continue;
+        SFEMI_TRY(sfemi_contact_detect_faces(c, t, i, t->x1, h, err));
+    }
+done:
+    *found = t->rows - before;
+    return status;
+}
+
+/* Moves what is inside out of it, by a part of the way. */
+static sfem_status sfemi_impact_push(sfem_contact *c, sfemi_touch *t, sfem_real h, sfem_error *err)
+{
+    sfemi_impact *m = sfemi_impact_part(t);
+    sfem_modal *b = m->modal;
+    const sfem_real mass = b->reduced->head->mass;
+    sfem_status status = SFEM_OK;
+    sfem_real deepest = 0, before, kinetic, work, turn[3], r[9], next[9];
+    sfem_int i;
+    size_t k;
+    int a;
+    for (i = 0; i < t->rows; ++i) {
+        sfemi_contact_place(c, t, t->row + i, h);
+        deepest = fmax(deepest, -sfemi_impact_gap(c, t, t->row + i));
+    }
+    sfemi_impact_set_out(m);
+    if (!(deepest > sfemi_impact_slop(t) && c->def.push_speed > 0 && c->def.push_share > 0)) return SFEM_OK;
+    before = sfemi_impact_energy(m, &kinetic);
+    SFEMI_TRY(sfemi_impact_press(c, t, SFEMI_IMPACT_PUSH, h, err));
+    sfemi_impact_transpose(t, 1);
+    for (k = 0; k < b->m; ++k) sfemi_impact_shift_mode(b, k, h * m->force[k] * m->load[k], 0);
+    if (b->reduced->head->free) {
+        for (a = 0; a < 3; ++a) b->head->rigid.x[a] += h / 2 * m->sum[a] / mass;
+        sfemi_rotated_vector(m->inverse, m->torque, turn);
+        for (a = 0; a < 3; ++a) turn[a] *= h / 2;
+        sfemi_rotated_matrix(SFEMI_TURN_ROTATION, turn, r);
+        sfemi_mul3(r, b->head->rigid.r, next);
+        sfem_polar(next, b->head->rigid.r, r);
+    }
+    sfemi_modal_pack(b);
+    work = sfemi_impact_energy(m, &kinetic) - before - sfemi_impact_load_work(m);
+    m->work += work;
+    m->moved += fmax(0.0, work);
+    sfem_modal_positions(b, m->view, t->x0);
+    sfemi_impact_set_out(m);
+done:
+    return status;
+}
+
+/* The body takes the changes of impulses at the start; rows' impulses over the step are still 0. */
+static void sfemi_impact_take_strikes(const sfem_contact *c, sfemi_touch *t)
+{
+    sfemi_impact *m = sfemi_impact_part(t);
+    sfem_modal *b = m->modal;
+    sfem_int i;
+    size_t k;
+    int a, p;
+    for (i = 0; i < t->rows; ++i) {
+        sfemi_row *row = t->row + i;
+        for (a = 0; a < 3; ++a) row->struck[a] += row->change[a];
+        m->moved += sfemi_dot3(row->change, row->speed);
+        for (p = 0; p < row->parts; ++p)
+            for (a = 0; a < 3; ++a) {
+                const size_t at = 3 * (size_t)row->at[p] + (size_t)a;
+                m->work += row->weight[p] * row->change[a] * (c->v0[at] + c->v[at]) / 2;
+            }
+    }
+    sfemi_impact_transpose(t, 1);
+    for (k = 0; k < b->m; ++k) sfemi_impact_shift_mode(b, k, 0, b->light[k] * m->share[k] * m->load[k]);
+    for (a = 0; b->reduced->head->free && a < 3; ++a) {
+        b->head->rigid.v[a] += m->sum[a] / b->reduced->head->mass;
+        b->head->momentum[a] += m->torque[a];
+    }
+    sfemi_impact_set_out(m);
+}
+
+/* Friction there: rows that slide go on, in a second system, without. */
+static sfem_status sfemi_impact_stick(sfem_contact *c, sfemi_touch *t, sfem_real h, sfem_error *err)
+{
+    sfem_status status = SFEM_OK;
+    sfem_int i;
+    int slide = 0;
+    for (i = 0; i < t->rows; ++i) t->row[i].slides = 0;
+    SFEMI_TRY(sfemi_impact_press(c, t, SFEMI_IMPACT_STICK, h, err));
+    for (i = 0; i < t->rows; ++i) slide |= t->row[i].slides;
+    if (slide) SFEMI_TRY(sfemi_impact_press(c, t, SFEMI_IMPACT_STICK, h, err));
+    sfemi_impact_take_strikes(c, t);
+    for (i = 0; i < t->rows; ++i) memcpy(t->row[i].stuck, t->row[i].change, sizeof t->row[i].stuck);
+done:
+    return status;
+}
+
+/* Forces over the step, until its end is where the cones have it. Row's `impulse` has what it took for friction at the
+ * start, `stuck`, while its cone is solved. */
+static sfem_status sfemi_impact_settle(sfem_contact *c, sfemi_touch *t, sfem_real h, sfem_error *err)
+{
+    enum { ROUNDS = 6 };
+    const sfem_real enough = 1e-2 * c->def.tolerance; /* of energy: 1e-4 of the impulses */
+    sfem_status status = SFEM_OK;
+    sfem_int i, found;
+    int round, a;
+    for (i = 0; i < t->rows; ++i)
+        for (a = 0; a < 3; ++a) t->row[i].impulse[a] = h * t->row[i].force[a] - t->row[i].stuck[a];
+    SFEMI_TRY(sfemi_impact_run(t, h, err));
+    for (round = 0; round < ROUNDS; ++round) {
+        SFEMI_TRY(sfemi_impact_detect(c, t, h, &found, err));
+        for (i = 0; i < t->rows; ++i)
+            for (a = 0; a < 3; ++a) t->row[i].impulse[a] += t->row[i].stuck[a];
+        status = sfemi_impact_press(c, t, SFEMI_IMPACT_FORCE, h, err);
+        for (i = 0; i < t->rows; ++i)
+            for (a = 0; a < 3; ++a) t->row[i].impulse[a] -= t->row[i].stuck[a];
+        if (status != SFEM_OK) return status;
+        if (!(t->change > enough * t->size)) break;
+        for (i = 0; i < t->rows; ++i)
+            for (a = 0; a < 3; ++a) t->row[i].impulse[a] += t->row[i].change[a];
+        SFEMI_TRY(sfemi_impact_run(t, h, err));
+    }
+done:
+    return status;
+}
+
+/* J, that springs of contacts that give have stored in the last step. */
+static sfem_real sfemi_impact_stored(const sfemi_touch *t)
+{
+    sfem_real sum = 0;
+    sfem_int i;
+    for (i = 0; i < t->rows; ++i) {
+        const sfem_real f = sfemi_dot3(t->row[i].axes, t->row[i].force);
+        sum += t->row[i].compliance * f * f / 2;
+    }
+    return sum;
+}
+
+/* The step with contact, from `before` the step. */
+static sfem_status sfemi_impact_touch(sfem_contact *c, sfemi_touch *t, sfem_real h, sfem_error *err)
+{
+    sfemi_impact *m = sfemi_impact_part(t);
+    sfem_modal *b = m->modal;
+    const sfem_real stored = sfemi_impact_stored(t);
+    sfem_status status = SFEM_OK;
+    sfem_real energy, kinetic;
+    sfem_int i;
+    sfemi_impact_set_out(m);
+    for (i = 0; i < t->rows; ++i) {
+        memset(t->row[i].impulse, 0, sizeof t->row[i].impulse);
+        memset(t->row[i].struck, 0, sizeof t->row[i].struck);
+        memset(t->row[i].stuck, 0, sizeof t->row[i].stuck);
+    }
+    energy = sfemi_impact_energy(m, &kinetic);
+    SFEMI_TRY(sfemi_impact_press(c, t, SFEMI_IMPACT_STRIKE, h, err));
+    sfemi_impact_take_strikes(c, t);
+    SFEMI_TRY(sfemi_impact_stick(c, t, h, err));
+    SFEMI_TRY(sfemi_impact_settle(c, t, h, err));
+    for (i = 0; i < t->rows; ++i) {
+        const sfemi_row *row = t->row + i;
+        sfem_real x0[3], x1[3];
+        sfemi_contact_point_of(t, row, NULL, h, x0);
+        sfemi_contact_point_of(t, row, t->x1, h, x1);
+        sfemi_sub3(x1, x0, x1);
+        m->work += sfemi_dot3(row->impulse, x1) / h;
+        m->moved += sfemi_dot3(row->impulse, row->speed);
+        if (sfemi_impact_gap(c, t, row) < 0) /* out of it within the slop */
+            m->moved += sfemi_dot3(row->impulse, row->axes) *
+                        fmax(0.0, sfemi_dot3(row->axes, x1) / h - sfemi_dot3(row->axes, row->speed));
+    }
+    sfemi_impact_bound(c, t, energy, fmax(0.0, m->moved) + stored);
+    if (b->head->handles > 0) b->head->started = 0;
+done:
+    return status;
+}
+
+static sfem_status sfemi_impact_solve(sfem_contact *c, sfemi_touch *t, sfem_real h, sfem_error *err)
+{
+    sfemi_impact *m = sfemi_impact_part(t);
+    sfem_modal *b = m->modal;
+    sfem_status status = SFEM_OK;
+    sfem_real box[2][3];
+    sfem_int i, found;
+    int k, near = 0;
+    m->work = m->moved = 0;
+    sfemi_impact_save(m, m->before);
+    m->stepped = 1;
+    for (k = 0; k < 3; ++k) box[0][k] = 1e300, box[1][k] = -1e300;
+    sfemi_impact_grow_box(m, box);
+    if (!t->rows) { /* most bodies are far from everything */
+        SFEMI_TRY(sfem_modal_step(b, h, err));
+        sfemi_impact_grow_box(m, box);
+        for (i = 0; i < c->obstacles; ++i)
+            near |= sfemi_contact_pair(t, c->obstacle + i) &&
+                    !sfemi_obstacle_is_far(c->obstacle + i, box, 1e-3 * t->edge);
+        if (!near) return SFEM_OK;
+        sfemi_impact_restore(m, m->before);
+    }
+    sfemi_modal_refit(b, h);
+    sfemi_impact_coefficients(m, h);
+    sfem_modal_positions(b, m->view, t->x0);
+    if (t->rows) sfemi_contact_drop_far(c, t);
+    if (t->rows) {
+        sfemi_modal_wake(b);
+        SFEMI_TRY(sfemi_impact_push(c, t, h, err));
+    } else sfemi_impact_set_out(m);
+    SFEMI_TRY(sfem_modal_step(b, h, err));
+    sfem_modal_positions(b, m->view, t->x1);
+    SFEMI_TRY(sfemi_impact_detect(c, t, h, &found, err));
+    if (!t->rows) return SFEM_OK;
+    sfemi_impact_restore(m, m->start);
+    sfemi_modal_wake(b);
+    return sfemi_impact_touch(c, t, h, err);
+done:
+    return status;
+}
+
+static void sfemi_impact_take(sfem_contact *c, sfemi_touch *t, sfem_real h)
+{
+    sfemi_impact *m = sfemi_impact_part(t);
+    sfem_int i, kept = 0;
+    int k;
+    m->stepped = 0;
+    c->info.work += m->work;
+    c->info.moved += m->moved;
+    for (i = 0; i < t->rows; ++i) {
+        sfemi_row *row = t->row + i;
+        sfem_real x[3];
+        for (k = 0; k < 3; ++k) {
+            row->impulse[k] += row->struck[k];
+            row->force[k] = row->impulse[k] / h;
+        }
+        if (sfemi_dot3(row->impulse, row->impulse) == 0) continue;
+        c->info.pushed += row->pushed;
+        sfemi_contact_point_of(t, row, t->x1, h, row->position);
+        sfemi_sub3(row->position, row->place, x);
+        row->gap = sfemi_dot3(row->axes, x);
+        row->fresh = 0;
+        row->bounce = 0;
+        t->row[kept++] = *row;
+    }
+    c->rows -= t->rows - kept;
+    t->rows = kept;
+}
+
+static void sfemi_impact_undo(sfemi_touch *t)
+{
+    sfemi_impact *m = sfemi_impact_part(t);
+    if (m->stepped) sfemi_impact_restore(m, m->before);
+    m->stepped = 0;
+}
+
+/* ---- the body in the object ---- */
+
+static void sfemi_impact_release(const sfem_contact *c, sfemi_touch *t)
+{
+    const sfem_allocator *al = &c->def.allocator;
+    sfemi_impact *m = sfemi_impact_part(t);
+    if (!m) return;
+    sfem_reduced_view_free(m->view);
+    sfemi_delete(al, m->before);
+    sfemi_delete(al, m->start);
+    sfemi_delete(al, m->share);
+    sfemi_delete(al, m->rows);
+    sfemi_delete(al, m->arm);
+    sfemi_delete(al, m);
+    t->part = NULL;
+}
+
+static const sfemi_touch_method sfemi_impact_method = {sfemi_impact_solve, sfemi_impact_gather, sfemi_impact_take,
+                                                       sfemi_impact_undo, sfemi_impact_release};
+
+/* Which nodes and faces may touch. */
+static sfem_status sfemi_impact_collect(sfem_contact *c, sfemi_touch *t, sfem_int count, const sfem_int *node, sfem_error *err)
+{
+    const sfem_reduced *r = sfemi_impact_part(t)->modal->reduced;
+    const sfem_allocator *al = &c->def.allocator;
+    const sfem_int surface = r->head->surface_nodes, triangles = r->head->surface_triangles;
+    sfem_status status = SFEM_OK;
+    sfem_int i;
+    int k;
+    t->mesh_nodes = r->head->nodes;
+    SFEMI_NEW(sfem_int, t->row_of, al, t->mesh_nodes);
+    SFEMI_NEW(sfem_int, t->place_of, al, t->mesh_nodes);
+    SFEMI_NEW(sfem_int, t->tri, al, 3 * (size_t)triangles + 1);
+    for (i = 0; i < t->mesh_nodes; ++i) t->place_of[i] = -1;
+    for (i = 0; i < (node ? count : surface); ++i) {
+        const sfem_int at = node ? node[i] : r->surface_node[i];
+        if (at < 0 || at >= t->mesh_nodes)
+            return sfemi_fail_at(err, SFEM_BAD_ARGUMENT, at, -1, "there is no node %d, the body has %d", (int)at,
+                                 (int)t->mesh_nodes);
+        t->nodes += t->place_of[at] < 0;
+        t->place_of[at] = 0;
+    }
+    if (!t->nodes) return sfemi_fail(err, SFEM_BAD_ARGUMENT, "no node of the modal body may touch: name some, or all by NULL");
+    SFEMI_NEW(sfem_int, t->node, al, t->nodes);
+    SFEMI_NEW(sfem_real, t->x0, al, 3 * (size_t)t->nodes);
+    SFEMI_NEW(sfem_real, t->x1, al, 3 * (size_t)t->nodes);
+    for (i = 0, t->nodes = 0; i < t->mesh_nodes; ++i) {
+        t->row_of[i] = -1;
+        if (t->place_of[i] < 0) continue;
+        t->place_of[i] = t->nodes;
+        t->node[t->nodes++] = i;
+    }
+    for (i = 0; i < triangles; ++i) {
+        sfem_int tri[3];
+        for (k = 0; k < 3; ++k) tri[k] = r->surface_node[r->surface_tri[3 * i + k]];
+        for (k = 0; k < 3; ++k) {
+            sfem_real d[3];
+            sfemi_sub3(r->x + 3 * (size_t)tri[k], r->x + 3 * (size_t)tri[(k + 1) % 3], d);
+            t->edge += sqrt(sfemi_dot3(d, d)) / (3 * triangles);
+        }
+        if (t->place_of[tri[0]] >= 0 && t->place_of[tri[1]] >= 0 && t->place_of[tri[2]] >= 0)
+            memcpy(t->tri + 3 * (size_t)t->triangles++, tri, sizeof tri);
+    }
+done:
+    return status;
+}
+
+/* Its own memory, and the box of its nodes. */
+static sfem_status sfemi_impact_prepare(const sfem_contact *c, sfemi_touch *t, sfem_error *err)
+{
+    sfemi_impact *m = sfemi_impact_part(t);
+    const sfem_modal *b = m->modal;
+    const sfem_allocator *al = &c->def.allocator;
+    sfem_real low[3] = {1e300, 1e300, 1e300}, high[3] = {-1e300, -1e300, -1e300};
+    sfem_status status = SFEM_OK;
+    sfem_int i;
+    int k;
+    SFEMI_NEW(char, m->before, al, b->small_bytes);
+    SFEMI_NEW(char, m->start, al, b->small_bytes);
+    SFEMI_NEW(sfem_real, m->share, al, 4 * b->stride + 1);
+    m->strike = m->share + b->stride;
+    m->force = m->strike + b->stride;
+    m->load = m->force + b->stride;
+    for (i = 0; i < t->nodes; ++i)
+        for (k = 0; k < 3; ++k) {
+            low[k] = fmin(low[k], b->reduced->x[3 * (size_t)t->node[i] + (size_t)k]);
+            high[k] = fmax(high[k], b->reduced->x[3 * (size_t)t->node[i] + (size_t)k]);
+        }
+    for (k = 0; k < 3; ++k) {
+        m->middle[k] = (low[k] + high[k]) / 2;
+        m->half[k] = (high[k] - low[k]) / 2;
+    }
+    return sfem_reduced_view_create(b->reduced, t->nodes, t->node, SFEM_DOUBLE, &m->view, err);
+done:
+    return status;
+}
+
+SFEM_DEF sfem_status sfem_contact_add_modal(sfem_contact *c, sfem_modal *modal, const sfem_contact_surface *surface,
+                                            sfem_int count, const sfem_int *node, sfem_int *id, sfem_error *err)
+{
+    const sfem_contact_surface standard = sfem_default_contact_surface(), *s = surface ? surface : &standard;
+    sfemi_touch *t = NULL;
+    sfemi_impact *m = NULL;
+    sfem_status status = SFEM_OK;
+    sfem_int i, at;
+    SFEM_ASSERT(c && modal);
+    SFEMI_TRY(sfemi_contact_check_surface(s, "body", err));
+    for (i = 0, at = c->touches; i < c->touches; ++i) {
+        if (c->touch[i].used && c->touch[i].method && sfemi_impact_part(c->touch + i)->modal == modal)
+            return sfemi_fail(err, SFEM_BAD_ARGUMENT, "this body was added before, as number %d", (int)i);
+        if (!c->touch[i].used && at == c->touches) at = i;
+    }
+    SFEMI_CONTACT_LIST(c, c->touch, c->touch_room, at + 1);
+    t = c->touch + at;
+    memset(t, 0, sizeof *t);
+    t->contact = *s;
+    SFEMI_NEW(sfemi_impact, m, &c->def.allocator, 1);
+    t->part = m;
+    t->method = &sfemi_impact_method;
+    m->modal = modal;
+    SFEMI_TRY(sfemi_impact_collect(c, t, count, node, err));
+    SFEMI_TRY(sfemi_impact_prepare(c, t, err));
+    t->used = 1;
+    if (at == c->touches) ++c->touches;
+    if (id) *id = at;
+    return SFEM_OK;
+done:
+    if (t) sfemi_contact_free_touch(c, t);
+    return status;
+}
+#endif /* SFEM_NO_REDUCED, SFEM_NO_CONTACT */
 
 #ifndef SFEM_NO_LINK
 /* ============================================================================================
