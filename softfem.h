@@ -32280,6 +32280,7 @@ typedef struct sfemi_touch { /* a body */
     int fallback, done;
     int lost;                  /* corrections have diverged: the step is to be rejected */
     sfem_real arriving;        /* J, what the body brings to the contacts along their normal */
+    sfem_real given;           /* J, of obstacles in a fallback */
     int anew;                  /* its state was set: so is the most that its energy may be */
     sfem_real most;            /* J, the most that the energy reported may be, before the work of the step */
     sfem_real ahead;           /* J, of obstacles up to its end: impulses are booked up to its middle */
@@ -34784,6 +34785,89 @@ done:
     return status;
 }
 
+/* change of impulses of a free piece's rows by what its momenta miss, [linear, angular about its centre]: in proportion to
+ * the impulses that are there, as their forces and torques add up to it. */
+static void sfemi_contact_make_up(sfemi_touch *t, sfem_int index, const sfem_real miss[6], int there)
+{
+    const sfem_body *b = t->body;
+    const sfemi_piece *p = b->rotated.piece + index;
+    sfem_real sum = 0, far = 0, middle[3] = {0, 0, 0}, inertia[9] = {0}, cofactor[9], torque[3], spin[3] = {0, 0, 0}, det, most;
+    sfem_int i;
+    int pass, k, m;
+    for (pass = 0; pass < 3; ++pass) {
+        for (i = 0; i < t->rows; ++i) {
+            sfemi_row *row = t->row + i;
+            const sfem_real share = there ? sqrt(sfemi_dot3(row->impulse, row->impulse)) : 1;
+            sfem_real arm[3], way[3];
+            if (b->rotated.piece_of[row->node[0]] != index) continue;
+            sfemi_contact_point_of(t, row, NULL, 0, arm);
+            sfemi_sub3(arm, p->centre, arm);
+            if (pass == 0) sum += share;
+            for (k = 0; pass == 0 && k < 3; ++k) middle[k] += share * arm[k];
+            sfemi_sub3(arm, middle, arm); /* of the passes that follow */
+            if (pass == 1) far = fmax(far, sqrt(sfemi_dot3(arm, arm)));
+            for (k = 0; pass == 1 && k < 3; ++k)
+                for (m = 0; m < 3; ++m) inertia[3 * k + m] += share * ((k == m) * sfemi_dot3(arm, arm) - arm[k] * arm[m]);
+            sfemi_cross(spin, arm, way);
+            for (k = 0; pass == 2 && k < 3; ++k) row->change[k] = share * (miss[k] / sum + way[k]);
+        }
+        if (!(sum > 0)) return;
+        for (k = 0; pass == 0 && k < 3; ++k) middle[k] /= sum;
+        if (pass != 1) continue;
+        sfemi_cross(middle, miss, torque);
+        sfemi_sub3(miss + 3, torque, torque);
+        det = 0.01 * (inertia[0] + inertia[4] + inertia[8]); /* one point, or a line of them, bears no torque about itself */
+        for (k = 0; k < 9; k += 4) inertia[k] += det;
+        sfemi_cofactor3(inertia, cofactor);
+        det = sfemi_dot3(inertia, cofactor);
+        for (k = 0; k < 3; ++k)
+            spin[k] = det > 0 ? (cofactor[k] * torque[0] + cofactor[3 + k] * torque[1] + cofactor[6 + k] * torque[2]) / det : 0;
+        most = sqrt(sfemi_dot3(miss, miss)) / sum + (there ? 1 : 0); /* no more than there is, and than the sum needs */
+        det = far * sqrt(sfemi_dot3(spin, spin));
+        for (k = 0; det > most && k < 3; ++k) spin[k] *= most / det;
+    }
+}
+
+/* A fallback may end with less momentum than its impulses gave it, where energy was taken: they become what has moved the
+ * body, so that action equals reaction. */
+static void sfemi_contact_balance(sfemi_touch *t)
+{
+    sfem_body *b = t->body;
+    const sfemi_safeguard *g = &b->safeguard;
+    const sfemi_state *s = &b->state;
+    const sfem_real r = b->scheme.r, h = b->step.h, back = s->head->started == SFEMI_RUNNING ? s->head->h / 2 : 0;
+    sfem_int i, p;
+    int k, a;
+    if (!sfemi_rotated_projects(b) || sfemi_correct_is_braked(b)) return;
+    for (i = 0; i < 3 * b->model->mesh.nodes; ++i) {
+        const sfem_real m = b->model->node_mass[i / 3];
+        b->zk[i] = r * m * s->w[i] + (h + back) * (m * s->head->gravity[i % 3] + s->force[1][i]) +
+                   (s->head->step_forces ? h * s->step_force[i] : 0);
+    }
+    for (i = 0; i < t->rows; ++i)
+        for (k = 0; k < t->row[i].parts; ++k)
+            for (a = 0; a < 3; ++a) b->zk[3 * t->row[i].node[k] + a] += t->row[i].weight[k] * t->row[i].impulse[a];
+    sfemi_rotated_locate(b, s->u);
+    sfemi_rotated_momentum(b, s->u, b->zk, 0);
+    for (p = 0; p < b->rotated.pieces; ++p)
+        memcpy(b->rotated.piece[p].rigid, b->rotated.piece[p].motion, sizeof b->rotated.piece[p].rigid);
+    sfemi_rotated_locate(b, g->u);
+    sfemi_rotated_momentum(b, g->u, g->w, 1);
+    for (p = 0; p < b->rotated.pieces; ++p)
+        for (k = 0; k < 6; ++k)
+            b->rotated.piece[p].rigid[k] = (r + (h + back) * b->alpha) * b->rotated.piece[p].motion[k] - b->rotated.piece[p].rigid[k];
+    sfemi_rotated_locate(b, s->u);
+    for (i = 0; i < t->rows; ++i) memset(t->row[i].change, 0, sizeof t->row[i].change);
+    for (p = 0; p < b->rotated.pieces; ++p) {
+        int there = 0;
+        for (i = 0; i < t->rows; ++i)
+            there |= b->rotated.piece_of[t->row[i].node[0]] == p && sfemi_dot3(t->row[i].impulse, t->row[i].impulse) > 0;
+        if (!b->rotated.piece[p].held) sfemi_contact_make_up(t, p, b->rotated.piece[p].rigid, there);
+    }
+    for (i = 0; i < t->rows; ++i)
+        for (k = 0; k < 3; ++k) t->row[i].impulse[k] += t->row[i].change[k];
+}
+
 static sfem_status sfemi_contact_fall_back(sfem_contact *c, sfemi_island island, sfem_error *err)
 {
     sfem_status status = SFEM_OK;
@@ -34830,6 +34914,8 @@ static sfem_status sfemi_contact_fall_back(sfem_contact *c, sfemi_island island,
         if (!sfemi_finite(head->budget)) head->budget = budget;
         head->last = last;
         SFEMI_TRY(sfemi_contact_bound(c, t, allowed, err));
+        t->given = sfemi_contact_given(c, t);
+        sfemi_contact_balance(t);
     }
 done:
     for (i = island.first; i < island.first + island.count; ++i)
@@ -34939,7 +35025,8 @@ static void sfemi_contact_settle_rows(sfem_contact *c, sfemi_touch *t)
 {
     sfem_body *b = t->body;
     const sfem_real *w = b->state.w, *w1 = b->scheme.rotates ? b->safeguard.w : c->w, span = sfemi_contact_span(t);
-    const sfem_real given = sfemi_contact_given(c, t);
+    const sfem_real given = t->fallback ? t->given : sfemi_contact_given(c, t);
+    const sfem_real back = t->fallback && b->state.head->started == SFEMI_RUNNING ? b->state.head->h / 2 : 0;
     sfem_int i, kept = 0;
     int k, a;
     for (i = 0; i < t->rows; ++i) {
@@ -34950,7 +35037,9 @@ static void sfemi_contact_settle_rows(sfem_contact *c, sfemi_touch *t)
                 const size_t at = 3 * (size_t)row->node[k] + (size_t)a;
                 c->info.work += row->weight[k] * row->impulse[a] * (t->fallback ? w1[at] : (w[at] + w1[at]) / 2);
             }
-        for (k = 0; k < 3; ++k) row->force[k] = row->impulse[k] / span;
+        for (k = 0; k < 3; ++k) /* a fallback's impulse has the half of the last step's force, too, that w did not have yet */
+            row->force[k] = (row->impulse[k] - back * row->force[k]) / span;
+        if (back > 0 && sfemi_dot3(row->force, row->axes) < 0) memset(row->force, 0, sizeof row->force);
         if (sfemi_dot3(row->impulse, row->impulse) == 0) continue;
         if (row->parts == 3 && sfemi_contact_face_is_broken(t, row->node)) continue;
         c->info.pushed += row->pushed;
