@@ -23817,6 +23817,7 @@ typedef struct sfemi_state_head {
     sfem_real pair_h;
     int64_t solves, evaluations;
     sfem_real calm;     /* s */
+    sfem_real slack;    /* >>contact: J, by which the energy reported is below the most that it may be */
 } sfemi_state_head;
 
 enum { SFEMI_AWAKE, SFEMI_CALM, SFEMI_ASLEEP };
@@ -24172,7 +24173,7 @@ static int sfemi_state_check_head(const void *shape, const char *at, size_t coun
            h.rebase >= SFEMI_BUDGET && h.rebase <= SFEMI_NEW_BUDGET && h.sleep >= SFEMI_AWAKE &&
            h.sleep <= (sleeps ? SFEMI_ASLEEP : SFEMI_AWAKE) && sfemi_finite(h.lag) && sfemi_finite(h.gamma) &&
            h.estimate >= 0 && h.rate >= 0 && h.rate <= 1 && sfemi_finite(h.pair_h) && sfemi_finite(h.calm) &&
-           h.calm >= 0 && h.step_forces >= 0 && h.step_forces <= 1 && sfemi_state_check_counts(&h);
+           h.calm >= 0 && sfemi_finite(h.slack) && h.slack >= 0 && h.step_forces >= 0 && h.step_forces <= 1 && sfemi_state_check_counts(&h);
 }
 
 static int sfemi_state_check_targets(const void *shape, const char *at, size_t count)
@@ -24251,7 +24252,7 @@ static const sfemi_saved_array sfemi_state_array[] = {
 #undef SFEMI_ROW
 #undef SFEMI_LOAD
 
-static const sfemi_saved_kind sfemi_state_kind = SFEMI_SAVED_KIND("sfemstat", "saved state", 6, sfemi_state_array);
+static const sfemi_saved_kind sfemi_state_kind = SFEMI_SAVED_KIND("sfemstat", "saved state", 7, sfemi_state_array);
 
 /* ============================================================================================
  * >>workspace   a step's temporaries, which bodies may share
@@ -32409,6 +32410,10 @@ typedef struct sfemi_touch { /* a body */
     int fallback, done;
     int lost;                  /* corrections have diverged: the step is to be rejected */
     sfem_real arriving;        /* J, what the body brings to the contacts along their normal */
+    sfem_real given;           /* J, of obstacles in a fallback */
+    int anew;                  /* its state was set: so is the most that its energy may be */
+    sfem_real most;            /* J, the most that the energy reported may be, before the work of the step */
+    sfem_real ahead;           /* J, of obstacles up to its end: impulses are booked up to its middle */
     sfemi_equation q;
     sfem_real tolerance, first, last, rate, cheap, decrement;
     sfem_real change, size;    /* J, of the impulses in the last system, and theirs */
@@ -34366,6 +34371,36 @@ static void sfemi_contact_drop_far(sfem_contact *c, sfemi_touch *t)
     t->rows = kept;
 }
 
+/* J, of handles, pins that move, and the caller's forces of one step. */
+static sfem_real sfemi_contact_outer(const sfem_body *b)
+{
+    const sfemi_state *s = &b->state;
+    const sfemi_safeguard *g = &b->safeguard;
+    sfem_real work = b->pin_count || b->schur.count ? sfemi_safeguard_held_work(b) : 0;
+    size_t i;
+    for (i = 0; (b->pin_count || s->head->step_forces) && i < 3 * (size_t)b->model->mesh.nodes; ++i) {
+        const sfem_real m = b->model->node_mass[i / 3], way = g->u[i] - s->u[i];
+        if (s->head->step_forces) work += s->step_force[i] * way;
+        if (b->mask[i / 3] >> (i % 3) & 1) /* with the force of the elements, the support bears these */
+            work += m / 2 * (g->w[i] * g->w[i] - s->w[i] * s->w[i]) - (m * s->head->gravity[i % 3] + s->force[1][i]) * way;
+    }
+    return work;
+}
+
+/* J, as sfem_body_energy has it, of a body that rotates. */
+static sfem_real sfemi_contact_reported(const sfem_body *b)
+{
+    const sfemi_state *s = &b->state;
+    const sfem_real half = s->head->started == SFEMI_RUNNING ? s->head->h / 2 : 0;
+    sfem_real energy = s->head->psi;
+    size_t i;
+    for (i = 0; i < 3 * (size_t)b->model->mesh.nodes; ++i) {
+        const sfem_real m = b->model->node_mass[i / 3], v = s->w[i] + half * s->a[i];
+        energy += m * v * v / 2 - s->u[i] * (s->force[0][i] + m * s->head->gravity[i % 3]);
+    }
+    return energy;
+}
+
 /* The step's right side, with the impulses of the last one. */
 static sfem_status sfemi_contact_begin(sfem_contact *c, sfemi_touch *t, sfem_real h, sfem_error *err)
 {
@@ -34378,8 +34413,11 @@ static sfem_status sfemi_contact_begin(sfem_contact *c, sfemi_touch *t, sfem_rea
     b->rotated.by_hand = t->rows > 0 || c->shared || b->state.head->step_forces;
     b->kicked = 0;
     t->fallback = t->lost = 0;
+    t->anew = !b->state.head->current || b->state.head->rebase == SFEMI_NEW_BUDGET;
     status = sfemi_body_predict(b, h, err);
     if (status == SFEM_OK) sfemi_step_force_apply(b);
+    if (status == SFEM_OK && b->scheme.rotates)
+        t->most = sfemi_contact_reported(b) + (t->anew ? 0 : b->state.head->slack);
     if (status != SFEM_OK || !(t->rows || c->shared)) return status;
     for (i = 0; i < t->rows; ++i)
         for (k = 0; k < 3; ++k) t->row[i].impulse[k] = sfemi_contact_span(t) * t->row[i].force[k];
@@ -34782,13 +34820,45 @@ static sfem_real sfemi_contact_mean_normal(const sfemi_touch *t, sfem_real norma
     return sum > 0 ? speed / sum : 0;
 }
 
+/* J, of the obstacles and their push-out on a body: what they do on the way that its points really go, at most what they
+ * move by. Where obstacles leave no room impulses are large, and points go into them: what is lost on that way comes off,
+ * down to the work of all impulses on the body. */
+static sfem_real sfemi_contact_given(const sfem_contact *c, const sfemi_touch *t)
+{
+    const sfem_body *b = t->body;
+    const sfem_real h = b->step.h, *w = b->state.w, *w1 = b->scheme.rotates ? b->safeguard.w : c->w;
+    sfem_real given = 0, lost = 0, all = 0;
+    sfem_int i;
+    int k, a;
+    for (i = 0; i < t->rows; ++i) {
+        const sfemi_row *row = t->row + i;
+        const sfem_real l = sfemi_dot3(row->axes, row->impulse), out = row->pushed ? sfemi_contact_push_speed(c, row, h) : 0;
+        const sfem_real most = sfemi_dot3(row->impulse, row->speed) + out * l;
+        sfem_real work = 0, x[3], depth;
+        sfemi_contact_point_of(t, row, NULL, h, x);
+        sfemi_sub3(row->place, x, x);
+        depth = row->least + sfemi_dot3(row->axes, x) - row->compliance * l / sfemi_contact_span(t);
+        for (k = 0; k < row->parts; ++k)
+            for (a = 0; a < 3; ++a) {
+                const size_t at = 3 * (size_t)row->node[k] + (size_t)a;
+                const sfem_real way = t->fallback ? (b->safeguard.u[at] - b->state.u[at]) / h : w1[at];
+                work += row->weight[k] * row->impulse[a] * way;
+                depth -= h * row->weight[k] * row->axes[a] * way;
+                all += row->weight[k] * row->impulse[a] * (t->fallback ? way : (w[at] + way) / 2);
+            }
+        given += fmin(fmax(0.0, most), fmax(fmin(0.0, most), work));
+        lost += l * fmax(0.0, depth) / h;
+    }
+    return fmax(given - lost, fmin(given, fmax(0.0, all)));
+}
+
 /* S, the energy in motion, has what the contacts do, and for the safeguard what the body brings to them, along their
- * normal: a free fall has none. */
-static void sfemi_contact_raise_scale(sfemi_touch *t, int working, int arriving)
+ * normal: a free fall has none. Obstacles at rest do no more than what the body's motion has in it. */
+static void sfemi_contact_raise_scale(const sfem_contact *c, sfemi_touch *t, int working, int arriving)
 {
     sfem_body *b = t->body;
     const sfem_real *w = b->state.w, *w1 = b->safeguard.w;
-    sfem_real work = 0, half = 0, fall = 0, normal[3];
+    sfem_real work = 0, half = 0, fall = 0, most = 0, normal[3];
     const sfem_real speed = sfemi_contact_mean_normal(t, normal);
     sfem_int i, p;
     int k, a;
@@ -34800,6 +34870,12 @@ static void sfemi_contact_raise_scale(sfemi_touch *t, int working, int arriving)
                 work += l * (w[at] + w1[at]) / 2;
                 half += l * (w1[at] - w[at]) / 2;
             }
+    most = fmax(0.0, sfemi_contact_given(c, t));
+    for (i = 0; i < 3 * b->model->mesh.nodes; ++i) {
+        const sfem_real m = b->model->node_mass[i / 3], fallen = b->step.h * (b->state.head->gravity[i % 3] + b->state.force[1][i] / m);
+        most += m * (w[i] * w[i] + fallen * fallen);
+    }
+    work = fmin(most, fmax(fabs(work), fabs(half)));
     if (arriving && sfemi_rotated_projects(b)) {
         sfemi_rotated_momentum(b, b->state.u, w, 1);
         for (p = 0; p < b->rotated.pieces; ++p) {
@@ -34809,7 +34885,7 @@ static void sfemi_contact_raise_scale(sfemi_touch *t, int working, int arriving)
         }
     }
     if (arriving) t->arriving = fall;
-    b->state.head->scale = fmax(b->state.head->scale, fmax(fmax(fabs(work), fabs(half)), fall));
+    b->state.head->scale = fmax(b->state.head->scale, fmax(work, fall));
 }
 
 /* Forces act in the budget over the half steps on both sides of the state. Impulses do l.(w + w')/2 whatever their lengths
@@ -34856,7 +34932,7 @@ static sfem_status sfemi_contact_correct(sfem_contact *c, sfemi_island island, s
             t->done = 1;
             continue;
         }
-        sfemi_contact_raise_scale(t, 1, 0);
+        sfemi_contact_raise_scale(c, t, 1, 0);
         SFEMI_TRY(sfemi_contact_open(c, t, err));
         if (t->done) continue;
         if (head->estimate > 0 && head->estimate * t->cheap < 10 * b->def.accuracy * head->scale &&
@@ -34936,43 +35012,32 @@ static void sfemi_contact_start_fallback(sfemi_touch *t)
     t->q.touches = 1;
 }
 
-/* J, of the obstacles in a fallback: what they do on the way that points really go, at most what they move by. */
-static sfem_real sfemi_contact_given(const sfem_contact *c, const sfemi_touch *t, const sfemi_row *row)
-{
-    const sfem_body *b = t->body;
-    const sfem_real l = sfemi_dot3(row->axes, row->impulse), out = row->pushed ? sfemi_contact_push_speed(c, row, b->step.h) : 0;
-    const sfem_real most = sfemi_dot3(row->impulse, row->speed) + out * l;
-    sfem_real work = 0;
-    int k, a;
-    for (k = 0; k < row->parts; ++k)
-        for (a = 0; a < 3; ++a) {
-            const size_t at = 3 * (size_t)row->node[k] + (size_t)a;
-            work += row->weight[k] * row->impulse[a] * (b->safeguard.u[at] - b->state.u[at]) / b->step.h;
-        }
-    return fmin(most, fmax(0.0, work));
-}
-
-/* J, all that a body in a fallback has gained beyond the work of loads and obstacles. The safeguard's energies are without
- * the motion of centres of mass, which impulses change. */
-static sfem_real sfemi_contact_gain(const sfem_contact *c, const sfemi_touch *t)
+/* J, all that a body in a fallback has gained beyond the work of loads, handles, pins and obstacles, or what the energy
+ * reported would be above what it may be, the more. The safeguard's energies are without the motion of centres of mass,
+ * which impulses change. */
+static sfem_real sfemi_contact_gain(const sfem_contact *c, const sfemi_touch *t, sfem_real allowed)
 {
     const sfem_body *b = t->body;
     const sfemi_safeguard *g = &b->safeguard;
     const sfemi_state *s = &b->state;
     const sfem_real back = s->head->started == SFEMI_RUNNING ? s->head->h / 2 : 0;
-    sfem_real kinetic = 0, work = 0;
+    sfem_real kinetic = 0, work = 0, given, reported = g->psi;
     sfem_int i;
     int k;
     for (i = 0; i < b->model->mesh.nodes; ++i)
-        for (k = 0; k < 3 && b->rotated.piece_of[i] >= 0; ++k) {
+        for (k = 0; k < 3; ++k) {
             const size_t at = 3 * (size_t)i + (size_t)k;
             const sfem_real m = b->model->node_mass[i], force = s->head->step_forces ? s->step_force[at] : 0;
+            reported += m / 2 * g->w[at] * g->w[at] - g->u[at] * (m * s->head->gravity[k] + s->force[0][at]);
+            if (b->rotated.piece_of[i] < 0 || (b->mask[i] >> k & 1)) continue;
             kinetic += m * (g->w[at] * g->w[at] - s->w[at] * s->w[at]);
             work += (m * s->head->gravity[k] + s->force[1][at]) * (g->u[at] - s->u[at] + back * s->w[at]) +
                     force * (g->u[at] - s->u[at]);
         }
-    for (i = 0; i < t->rows; ++i) work += fmax(0.0, sfemi_contact_given(c, t, t->row + i));
-    return b->scheme.r / 2 * kinetic + g->psi - s->head->psi - work;
+    given = sfemi_contact_given(c, t);
+    if (b->pin_count || b->schur.count) work += sfemi_safeguard_held_work(b);
+    return fmax(b->scheme.r / 2 * kinetic + g->psi - s->head->psi - work - given - allowed,
+                reported - given - t->most - sfemi_contact_outer(b));
 }
 
 /* m: how deep rows are in safeguard.u beyond what they may be. */
@@ -35030,13 +35095,14 @@ static sfem_status sfemi_contact_move_rigidly(sfem_contact *c, sfemi_touch *t, s
     sfemi_contact_start_fallback(t);
     for (round = 0; round < ROUNDS; ++round) {
         sfemi_safeguard_move_rigidly(b);
+        sfemi_safeguard_constrain(b);
         SFEMI_TRY(sfemi_contact_detect(c, t, g->w, b->step.h, &found, err));
         for (k = 0, worst = 0; k < MOST && worst >= 0; ++k) {
             sfem_real deepest = 1e-4 * t->edge;
             for (i = 0, worst = -1; i < t->rows; ++i) {
                 sfemi_row *row = t->row + i;
                 sfem_real x[3], gap;
-                if (b->rotated.piece_of[row->node[0]] < 0) continue;
+                if (b->rotated.piece_of[row->node[0]] < 0 || b->rotated.piece[b->rotated.piece_of[row->node[0]]].held) continue;
                 sfemi_contact_point_of(t, row, g->w, b->step.h, x);
                 sfemi_sub3(x, row->place, x);
                 gap = sfemi_dot3(row->axes, x) - row->least;
@@ -35047,10 +35113,12 @@ static sfem_status sfemi_contact_move_rigidly(sfem_contact *c, sfemi_touch *t, s
             if (worst < 0) break;
             sfemi_contact_lift(t, t->row + worst, deepest);
             sfemi_safeguard_move_rigidly(b);
+            sfemi_safeguard_constrain(b);
         }
     }
     sfemi_correct_evaluate(b, &t->q);
-    memset(g->w, 0, 3 * (size_t)b->model->mesh.nodes * sizeof *g->w);
+    for (i = 0; i < 3 * b->model->mesh.nodes; ++i)
+        if (!(b->mask[i / 3] >> (i % 3) & 1)) g->w[i] = 0;
     sfemi_safeguard_restore_momentum(b, 0);
 done:
     return status;
@@ -35064,9 +35132,27 @@ static void sfemi_contact_brake(sfemi_touch *t, sfem_real excess)
     sfem_real kinetic = 0, scale;
     size_t i;
     for (i = 0; i < n; ++i)
-        kinetic += b->scheme.r / 2 * b->model->node_mass[i / 3] * b->safeguard.w[i] * b->safeguard.w[i];
+        if (!(b->mask[i / 3] >> (i % 3) & 1))
+            kinetic += b->scheme.r / 2 * b->model->node_mass[i / 3] * b->safeguard.w[i] * b->safeguard.w[i];
     scale = excess <= 0 ? 1 : kinetic > excess ? sqrt(1 - excess / kinetic) : 0;
-    for (i = 0; i < n; ++i) b->safeguard.w[i] *= scale;
+    for (i = 0; i < n; ++i)
+        if (!(b->mask[i / 3] >> (i % 3) & 1)) b->safeguard.w[i] *= scale;
+}
+
+/* The body where it is, but for what is held, which goes where it is to be. */
+static void sfemi_contact_stay(sfemi_touch *t)
+{
+    sfem_body *b = t->body;
+    sfemi_safeguard *g = &b->safeguard;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    if (b->pin_count || b->schur.count) {
+        memset(g->w, 0, n * sizeof *g->w);
+        sfemi_safeguard_constrain(b);
+        sfemi_correct_evaluate(b, &t->q);
+        return;
+    }
+    memcpy(g->u, b->state.u, n * sizeof *g->u);
+    g->psi = sfemi_safeguard_forces(b, g->u, g->f);
 }
 
 /* Contact makes no energy, whatever its iteration ends with, and leaves no body deep inside of an obstacle that was not.
@@ -35076,32 +35162,111 @@ static sfem_status sfemi_contact_bound(sfem_contact *c, sfemi_touch *t, sfem_rea
 {
     sfem_body *b = t->body;
     sfemi_safeguard *g = &b->safeguard;
-    const size_t n = 3 * (size_t)b->model->mesh.nodes;
     sfem_status status = SFEM_OK;
     sfem_real excess, deep = 0.1 * t->edge;
-    if (b->schur.count || b->pin_count) return SFEM_OK; /* the safeguard has all of their energy */
-    excess = sfemi_contact_gain(c, t) - allowed;
+    excess = sfemi_contact_gain(c, t, allowed);
     if (sfemi_contact_sunk(t) > deep || !(excess <= 0.1 * b->state.head->scale)) {
         SFEMI_TRY(sfemi_contact_move_rigidly(c, t, err));
-        excess = sfemi_contact_gain(c, t) - allowed;
+        excess = sfemi_contact_gain(c, t, allowed);
         if (sfemi_contact_sunk(t) > deep) {
-            memcpy(g->u, b->state.u, n * sizeof *g->u);
-            g->psi = sfemi_safeguard_forces(b, g->u, g->f);
-            excess = sfemi_contact_gain(c, t) - allowed;
+            sfemi_contact_stay(t);
+            excess = sfemi_contact_gain(c, t, allowed);
         }
     }
     if (excess > 0) sfemi_safeguard_slow_down(b, excess, 1);
-    if (excess > 0 && (excess = sfemi_contact_gain(c, t) - allowed) > 0) sfemi_contact_brake(t, excess);
-    if (excess > 0 && (excess = sfemi_contact_gain(c, t) - allowed) > 1e-12 * b->state.head->scale) {
-        memcpy(g->u, b->state.u, n * sizeof *g->u); /* it would rise */
-        g->psi = sfemi_safeguard_forces(b, g->u, g->f);
-        sfemi_contact_brake(t, sfemi_contact_gain(c, t) - allowed);
+    if (excess > 0 && (excess = sfemi_contact_gain(c, t, allowed)) > 0) sfemi_contact_brake(t, excess);
+    if (excess > 0 && (excess = sfemi_contact_gain(c, t, allowed)) > 1e-12 * b->state.head->scale) {
+        sfemi_contact_stay(t); /* it would rise */
+        sfemi_contact_brake(t, sfemi_contact_gain(c, t, allowed));
     }
     /* the centres' energy, which is not in the budget, may have gone to rotations, which are */
     b->state.head->budget = fmax(b->state.head->budget,
                                  sfemi_safeguard_measure(b, g->u, g->w, g->f, g->psi, b->step.h).ec);
 done:
     return status;
+}
+
+/* change of impulses of a free piece's rows by what its momenta miss, [linear, angular about its centre]: in proportion to
+ * the impulses that are there, as their forces and torques add up to it. */
+static void sfemi_contact_make_up(sfemi_touch *t, sfem_int index, const sfem_real miss[6], int there)
+{
+    const sfem_body *b = t->body;
+    const sfemi_piece *p = b->rotated.piece + index;
+    sfem_real sum = 0, far = 0, middle[3] = {0, 0, 0}, inertia[9] = {0}, cofactor[9], torque[3], spin[3] = {0, 0, 0}, det, most;
+    sfem_int i;
+    int pass, k, m;
+    for (pass = 0; pass < 3; ++pass) {
+        for (i = 0; i < t->rows; ++i) {
+            sfemi_row *row = t->row + i;
+            const sfem_real share = there ? sqrt(sfemi_dot3(row->impulse, row->impulse)) : 1;
+            sfem_real arm[3], way[3];
+            if (b->rotated.piece_of[row->node[0]] != index) continue;
+            sfemi_contact_point_of(t, row, NULL, 0, arm);
+            sfemi_sub3(arm, p->centre, arm);
+            if (pass == 0) sum += share;
+            for (k = 0; pass == 0 && k < 3; ++k) middle[k] += share * arm[k];
+            sfemi_sub3(arm, middle, arm); /* of the passes that follow */
+            if (pass == 1) far = fmax(far, sqrt(sfemi_dot3(arm, arm)));
+            for (k = 0; pass == 1 && k < 3; ++k)
+                for (m = 0; m < 3; ++m) inertia[3 * k + m] += share * ((k == m) * sfemi_dot3(arm, arm) - arm[k] * arm[m]);
+            sfemi_cross(spin, arm, way);
+            for (k = 0; pass == 2 && k < 3; ++k) row->change[k] = share * (miss[k] / sum + way[k]);
+        }
+        if (!(sum > 0)) return;
+        for (k = 0; pass == 0 && k < 3; ++k) middle[k] /= sum;
+        if (pass != 1) continue;
+        sfemi_cross(middle, miss, torque);
+        sfemi_sub3(miss + 3, torque, torque);
+        det = 0.01 * (inertia[0] + inertia[4] + inertia[8]); /* one point, or a line of them, bears no torque about itself */
+        for (k = 0; k < 9; k += 4) inertia[k] += det;
+        sfemi_cofactor3(inertia, cofactor);
+        det = sfemi_dot3(inertia, cofactor);
+        for (k = 0; k < 3; ++k)
+            spin[k] = det > 0 ? (cofactor[k] * torque[0] + cofactor[3 + k] * torque[1] + cofactor[6 + k] * torque[2]) / det : 0;
+        most = sqrt(sfemi_dot3(miss, miss)) / sum + (there ? 1 : 0); /* no more than there is, and than the sum needs */
+        det = far * sqrt(sfemi_dot3(spin, spin));
+        for (k = 0; det > most && k < 3; ++k) spin[k] *= most / det;
+    }
+}
+
+/* A fallback may end with less momentum than its impulses gave it, where energy was taken: they become what has moved the
+ * body, so that action equals reaction. */
+static void sfemi_contact_balance(sfemi_touch *t)
+{
+    sfem_body *b = t->body;
+    const sfemi_safeguard *g = &b->safeguard;
+    const sfemi_state *s = &b->state;
+    const sfem_real r = b->scheme.r, h = b->step.h, back = s->head->started == SFEMI_RUNNING ? s->head->h / 2 : 0;
+    sfem_int i, p;
+    int k, a;
+    if (!sfemi_rotated_projects(b) || sfemi_correct_is_braked(b)) return;
+    for (i = 0; i < 3 * b->model->mesh.nodes; ++i) {
+        const sfem_real m = b->model->node_mass[i / 3];
+        b->zk[i] = r * m * s->w[i] + (h + back) * (m * s->head->gravity[i % 3] + s->force[1][i]) +
+                   (s->head->step_forces ? h * s->step_force[i] : 0);
+    }
+    for (i = 0; i < t->rows; ++i)
+        for (k = 0; k < t->row[i].parts; ++k)
+            for (a = 0; a < 3; ++a) b->zk[3 * t->row[i].node[k] + a] += t->row[i].weight[k] * t->row[i].impulse[a];
+    sfemi_rotated_locate(b, s->u);
+    sfemi_rotated_momentum(b, s->u, b->zk, 0);
+    for (p = 0; p < b->rotated.pieces; ++p)
+        memcpy(b->rotated.piece[p].rigid, b->rotated.piece[p].motion, sizeof b->rotated.piece[p].rigid);
+    sfemi_rotated_locate(b, g->u);
+    sfemi_rotated_momentum(b, g->u, g->w, 1);
+    for (p = 0; p < b->rotated.pieces; ++p)
+        for (k = 0; k < 6; ++k)
+            b->rotated.piece[p].rigid[k] = (r + (h + back) * b->alpha) * b->rotated.piece[p].motion[k] - b->rotated.piece[p].rigid[k];
+    sfemi_rotated_locate(b, s->u);
+    for (i = 0; i < t->rows; ++i) memset(t->row[i].change, 0, sizeof t->row[i].change);
+    for (p = 0; p < b->rotated.pieces; ++p) {
+        int there = 0;
+        for (i = 0; i < t->rows; ++i)
+            there |= b->rotated.piece_of[t->row[i].node[0]] == p && sfemi_dot3(t->row[i].impulse, t->row[i].impulse) > 0;
+        if (!b->rotated.piece[p].held) sfemi_contact_make_up(t, p, b->rotated.piece[p].rigid, there);
+    }
+    for (i = 0; i < t->rows; ++i)
+        for (k = 0; k < 3; ++k) t->row[i].impulse[k] += t->row[i].change[k];
 }
 
 static sfem_status sfemi_contact_fall_back(sfem_contact *c, sfemi_island island, sfem_error *err)
@@ -35150,6 +35315,8 @@ static sfem_status sfemi_contact_fall_back(sfem_contact *c, sfemi_island island,
         if (!sfemi_finite(head->budget)) head->budget = budget;
         head->last = last;
         SFEMI_TRY(sfemi_contact_bound(c, t, allowed, err));
+        t->given = sfemi_contact_given(c, t);
+        sfemi_contact_balance(t);
     }
 done:
     for (i = island.first; i < island.first + island.count; ++i)
@@ -35192,7 +35359,7 @@ static sfem_status sfemi_contact_judge(sfem_contact *c, sfemi_island island, sfe
         }
         other = sfemi_resume_falls_back(b, b->step.h);
         g->rejected = g->measured = 0;
-        sfemi_contact_raise_scale(t, !t->lost, 1);
+        sfemi_contact_raise_scale(c, t, !t->lost, 1);
         if (other) b->state.head->budget = b->state.head->last;
         if (!b->scheme.safeguarded && !other) continue;
         t->budget = b->state.head->budget;
@@ -35221,13 +35388,14 @@ done:
 
 /* ---- the end of a step ---- */
 
-/* The velocities reported are w' + h a/2. An impact acts at once: its part of a, what exceeds the impulses of the last step,
- * does not go on for another half step. c->x: that part; 0 if there is none. */
+/* The velocities reported are w' + h a/2. Where contact forces change fast their change, an impact, has acted within the
+ * step, and does not go on for another half: a without it, by the response of the rest pose. Where that would be more than
+ * all of a, as in a body that is crushed, it is no guide, and a counts for nothing. c->x: what does not count; 0: all does. */
 static int sfemi_contact_find_impact(sfem_contact *c, sfemi_touch *t)
 {
     sfem_body *b = t->body;
     const sfem_real span = sfemi_contact_span(t);
-    sfem_real change = 0, size = 0;
+    sfem_real change = 0, size = 0, whole = 0, rest = 0;
     sfem_int i;
     int k;
     if (t->fallback || !(t->rows || c->shared)) return 0;
@@ -35243,19 +35411,14 @@ static int sfemi_contact_find_impact(sfem_contact *c, sfemi_touch *t)
     if (!(change > 0.1 * size) && !c->shared) return 0; /* it goes on as a force does */
     sfemi_contact_transpose(c, t, 1, c->x);
     sfemi_contact_respond(c, t, c->x);
-    for (i = 0; i < 3 * b->model->mesh.nodes; ++i) c->x[i] /= b->step.d;
+    for (i = 0; i < 3 * b->model->mesh.nodes; ++i) {
+        const sfem_real m = b->model->node_mass[i / 3], a = b->acc[i];
+        c->x[i] /= b->step.d;
+        whole += m * a * a;
+        rest += m * (a - c->x[i]) * (a - c->x[i]);
+    }
+    if (!(rest <= whole)) memcpy(c->x, b->acc, 3 * (size_t)b->model->mesh.nodes * sizeof *c->x);
     return 1;
-}
-
-/* J, of a row's obstacle and push-out: of what has moved. */
-static sfem_real sfemi_contact_booked(const sfem_contact *c, const sfemi_touch *t, const sfemi_row *row, const sfem_real *w1)
-{
-    sfem_real out = -sfemi_dot3(row->axes, row->speed);
-    int k;
-    if (t->fallback) return sfemi_contact_given(c, t, row);
-    for (k = 0; k < row->parts; ++k) out += row->weight[k] * sfemi_dot3(row->axes, w1 + 3 * (size_t)row->node[k]);
-    out = row->pushed ? fmin(fmax(out, 0.0), sfemi_contact_push_speed(c, row, t->body->step.h)) : 0;
-    return sfemi_dot3(row->impulse, row->speed) + out * sfemi_dot3(row->axes, row->impulse);
 }
 
 /* The rows of a step that is accepted: their work, forces, places; those without an impulse go. */
@@ -35263,6 +35426,8 @@ static void sfemi_contact_settle_rows(sfem_contact *c, sfemi_touch *t)
 {
     sfem_body *b = t->body;
     const sfem_real *w = b->state.w, *w1 = b->scheme.rotates ? b->safeguard.w : c->w, span = sfemi_contact_span(t);
+    const sfem_real given = t->fallback ? t->given : sfemi_contact_given(c, t);
+    const sfem_real back = t->fallback && b->state.head->started == SFEMI_RUNNING ? b->state.head->h / 2 : 0;
     sfem_int i, kept = 0;
     int k, a;
     for (i = 0; i < t->rows; ++i) {
@@ -35276,10 +35441,11 @@ static void sfemi_contact_settle_rows(sfem_contact *c, sfemi_touch *t)
                 const sfem_real after = of == t ? w1[at] : sfemi_contact_mean_velocity(of, at);
                 c->info.work += row->weight[k] * row->impulse[a] * (t->fallback ? after : (before + after) / 2);
             }
-        for (k = 0; k < 3; ++k) row->force[k] = row->impulse[k] / span;
+        for (k = 0; k < 3; ++k) /* a fallback's impulse has the half of the last step's force, too, that w did not have yet */
+            row->force[k] = (row->impulse[k] - back * row->force[k]) / span;
+        if (back > 0 && sfemi_dot3(row->force, row->axes) < 0) memset(row->force, 0, sizeof row->force);
         if (sfemi_dot3(row->impulse, row->impulse) == 0) continue;
         if (row->parts == 3 && sfemi_contact_face_is_broken(t, row->node)) continue;
-        if (row->obstacle >= 0) c->info.moved += sfemi_contact_booked(c, t, row, w1);
         c->info.pushed += row->pushed;
         sfemi_contact_point_of(t, row, w1, b->step.h, row->position);
         sfemi_sub3(row->position, row->place, x);
@@ -35291,12 +35457,42 @@ static void sfemi_contact_settle_rows(sfem_contact *c, sfemi_touch *t)
     }
     c->rows -= t->rows - kept;
     t->rows = kept;
+    c->info.moved += given;
+    t->most += given;
+    t->ahead = t->fallback ? 0 : b->step.h / span * fmax(0.0, given);
+}
+
+/* Has the energy reported of a step with contact no higher than it may be: of the acceleration in the velocities only
+ * a part counts, or at last of a free body's velocities. */
+static void sfemi_contact_limit(sfemi_touch *t)
+{
+    sfem_body *b = t->body;
+    const sfemi_state *s = &b->state;
+    const sfem_real half = s->head->h / 2, excess = sfemi_contact_reported(b) - t->most - t->ahead;
+    const int held = b->pin_count || b->schur.count;
+    sfem_real kinetic = 0, cross = 0, square = 0, part = 0, left, root;
+    size_t i;
+    if (!(excess > 0) || s->head->started != SFEMI_RUNNING) return;
+    for (i = 0; i < 3 * (size_t)b->model->mesh.nodes; ++i) {
+        const sfem_real m = b->model->node_mass[i / 3], a = half * s->a[i];
+        if (b->mask[i / 3] >> (i % 3) & 1) continue;
+        kinetic += m * s->w[i] * s->w[i] / 2;
+        cross += m * s->w[i] * a;
+        square += m * a * a / 2;
+    }
+    left = kinetic + cross + square - excess; /* is to be kinetic + part cross + part^2 square */
+    root = cross * cross + 4 * square * (left - kinetic);
+    if (square > 0) part = fmin(1.0, fmax(0.0, (sqrt(fmax(0.0, root)) - cross) / (2 * square)));
+    kinetic += part * (cross + part * square);
+    root = held || kinetic <= left ? 1 : sqrt(fmax(0.0, left) / kinetic);
+    for (i = 0; i < 3 * (size_t)b->model->mesh.nodes; ++i)
+        if (!(b->mask[i / 3] >> (i % 3) & 1)) b->state.a[i] = root * part * s->a[i] + (root - 1) / half * s->w[i];
 }
 
 static void sfemi_contact_take(sfem_contact *c, sfemi_touch *t)
 {
     sfem_body *b = t->body;
-    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    const int touches = t->rows > 0;
     int impact;
     size_t i;
     if (t->rests) {
@@ -35306,8 +35502,13 @@ static void sfemi_contact_take(sfem_contact *c, sfemi_touch *t)
     impact = sfemi_contact_find_impact(c, t);
     if (!b->scheme.rotates) sfemi_contact_trial_velocity(c, t);
     sfemi_contact_settle_rows(c, t);
+    if (b->scheme.rotates) t->most += sfemi_contact_outer(b);
     sfemi_body_take(b);
-    for (i = 0; impact && b->state.head->sleep != SFEMI_ASLEEP && i < n; ++i) b->state.a[i] -= c->x[i];
+    for (i = 0; impact && b->state.head->sleep != SFEMI_ASLEEP && i < 3 * (size_t)b->model->mesh.nodes; ++i)
+        b->state.a[i] -= c->x[i];
+    if (!b->scheme.rotates) return;
+    if (touches && b->state.head->sleep != SFEMI_ASLEEP) sfemi_contact_limit(t);
+    b->state.head->slack = fmax(0.0, t->most - sfemi_contact_reported(b));
 }
 
 /* Forces on the obstacles, the list of points. */
