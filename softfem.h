@@ -34835,6 +34835,7 @@ static sfem_real sfemi_contact_given(const sfem_contact *c, const sfemi_touch *t
         const sfem_real l = sfemi_dot3(row->axes, row->impulse), out = row->pushed ? sfemi_contact_push_speed(c, row, h) : 0;
         const sfem_real most = sfemi_dot3(row->impulse, row->speed) + out * l;
         sfem_real work = 0, x[3], depth;
+        if (row->obstacle < 0) continue; /* a row between bodies gives nothing to both */
         sfemi_contact_point_of(t, row, NULL, h, x);
         sfemi_sub3(row->place, x, x);
         depth = row->least + sfemi_dot3(row->axes, x) - row->compliance * l / sfemi_contact_span(t);
