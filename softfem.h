@@ -17000,6 +17000,8 @@ typedef struct sfemi_block {
 /* What a run over blocks adds up, by lanes. */
 typedef struct sfemi_totals {
     sfem_real energy[SFEMI_LANES], inverted[SFEMI_LANES]; /* inverted: tets with det F <= 0 */
+    const sfem_real *limit; /* [blocks] J, given; NULL: none */
+    unsigned char *warm;    /* [blocks] set to 1 where a tet has not less energy than that */
 } sfemi_totals;
 
 /* Adds to out the internal forces of count blocks displaced by u, both [nodes of the chunk][4];
@@ -17471,6 +17473,16 @@ static SFEMI_INLINE void sfemi_lanes_forces_##S(sfemi_lanes_##S *w, const sfemi_
         }                                                                                          \
 }                                                                                                  \
                                                                                                    \
+/* has a tet not less energy than the limit? */                                                    \
+static SFEMI_INLINE void sfemi_lanes_warm_##S(sfemi_lanes_##S *w, const sfem_real limit,           \
+                                              unsigned char *warm)                                 \
+{                                                                                                  \
+    const T most = (T)limit;                                                                       \
+    int l;                                                                                         \
+    for (l = 0; l < SFEMI_LANES; ++l) w->bad[l] = w->energy[l] < most ? 0 : 1;                     \
+    if (sfemi_lanes_any(w->bad, sizeof w->bad)) *warm = 1;                                         \
+}                                                                                                  \
+                                                                                                   \
 static SFEMI_INLINE void sfemi_lanes_blocks_##S(const sfemi_block *block, sfem_int count,          \
                                                 const sfem_real *u, sfem_real *out,                \
                                                 sfem_real *rotation, sfem_real *spin,              \
@@ -17482,6 +17494,8 @@ static SFEMI_INLINE void sfemi_lanes_blocks_##S(const sfemi_block *block, sfem_i
     sfemi_lanes_##S w;                                                                             \
     int l, i;                                                                                      \
     memset(&sum, 0, sizeof sum);                                                                   \
+    sum.limit = totals->limit;                                                                     \
+    sum.warm = totals->warm;                                                                       \
     for (; count > 0; --count, ++block) {                                                          \
         gather(block, u, w.d);                                                                     \
         sfemi_lanes_deform_##S(&w, block, fused);                                                  \
@@ -17500,6 +17514,7 @@ static SFEMI_INLINE void sfemi_lanes_blocks_##S(const sfemi_block *block, sfem_i
             sum.energy[l] += w.energy[l];                                                          \
             sum.inverted[l] += w.mu[l] > 0 && w.det[l] <= 0 ? 1 : 0;                               \
         }                                                                                          \
+        if (sum.limit) sfemi_lanes_warm_##S(&w, *sum.limit++, sum.warm++);                         \
         for (l = 0; rotation && l < block->count; ++l) {                                           \
             for (i = 0; i < 9; ++i)                                                                \
                 rotation[9 * (size_t)block->tet[l] + (size_t)i] =                                  \
@@ -19702,6 +19717,8 @@ typedef struct sfemi_forces {
     sfem_real *sum;           /* [nodes][9] the tets' rotations times their weights, added up by nodes; with */
     sfem_real *spin;          /* [copies][12] temporaries for it */
     sfem_int *inverted;       /* how many tets have det F <= 0 */
+    const sfem_real *limit;   /* [blocks] not of smooth tets: see sfemi_totals */
+    unsigned char *warm;
     sfem_real *work;          /* [sfem_model_work_size] */
     const sfem_exec *exec;
 } sfemi_forces;
@@ -19735,6 +19752,8 @@ static void sfemi_forces_chunks(void *data, sfem_int index)
         }
         memset(out, 0, 4 * (size_t)count * sizeof *out);
         if (spin) memset(spin, 0, 12 * (size_t)count * sizeof *spin);
+        totals.limit = ask->limit ? ask->limit + c->block_start[k] : NULL;
+        totals.warm = ask->limit ? ask->warm + c->block_start[k] : NULL;
         job->kernel(job->block + c->block_start[k], c->block_start[k + 1] - c->block_start[k], u, out,
                     ask->rotation, spin, &totals);
         job->energy[k] = job->inverted[k] = 0;
@@ -20493,6 +20512,8 @@ typedef struct sfemi_bonds {
     sfem_real *price;        /* [edges] share Gc a and all factors, J */
     sfem_real *factor;       /* [edges] of strength and of strains */
     sfem_real *threshold;        /* [tets] no edge breaks while sum e^2 is below this in all its tets */
+    sfem_real *limit;            /* [blocks] J, no tet of the block reaches its threshold while all have less energy than
+                                  * this; of intact tets, whatever their rotation is taken to be; NULL: smooth tets */
     unsigned char *never;    /* [edges] SFEMI_NEVER: unbreakable, SFEMI_BLADE_ONLY */
     int by_rate;             /* 1: edges break by the energy release rate; 0: by w_k alone */
     sfem_real stiffening;    /* the largest of sfem_damage_stiffening: p >= stiffening/4 */
@@ -20525,6 +20546,17 @@ typedef struct sfemi_damage {
     sfem_int *lane;          /* [model tets] block times SFEMI_LANES + lane, or NULL */
     sfem_int pieces;         /* connected components over intact edges, by lowest node */
     sfem_int *piece_of;      /* [nodes], -1: in no tet */
+    unsigned char *warm, *was_warm; /* [blocks] 1: a tet may reach its threshold at one of the places where forces were
+                              * computed since the last round, in the one before; NULL: smooth tets, all do */
+    int marked;              /* 1: there may be marks */
+    /* what a round looks at; the next one clears it */
+    sfem_int watched, *watch; /* [model tets] that may reach their thresholds, or are damaged */
+    sfem_int knowns, *known_edge; /* [edges] those whose strain is known: */
+    unsigned char *known;    /* [edges] 1: these */
+    sfem_int nears, *near;   /* [edges] those that may break, ascending */
+    sfem_int weighed, *weigh; /* [model tets] tets of these */
+    sfem_int ends, *near_end; /* [nodes] and their nodes */
+    const sfem_real *at[2];  /* [nodes][3] where it starts and ends */
     /* the last round */
     sfem_int events;
     sfem_break *event;       /* [edges] */
@@ -20644,6 +20676,7 @@ static sfem_status sfemi_bonds_allocate(sfemi_bonds *g, sfem_error *err)
     SFEMI_TAKE(sfem_real, g->price, &g->pool, edges);
     SFEMI_TAKE(sfem_real, g->factor, &g->pool, edges);
     SFEMI_TAKE(sfem_real, g->threshold, &g->pool, tets);
+    if (!g->model->smooth) SFEMI_TAKE(sfem_real, g->limit, &g->pool, g->model->chunks.block_start[g->model->chunks.count]);
     SFEMI_TAKE(unsigned char, g->never, &g->pool, edges);
 done:
     return status;
@@ -20879,6 +20912,46 @@ static void sfemi_bonds_threshold(sfemi_bonds *g, sfem_int e)
     g->threshold[e] = .99 * least * least;
 }
 
+/* The energy below which sum e^2 of an intact tet is below its threshold.
+ *
+ * 1. |F n| - 1 <= |(F - R) n| for any rotation R, so that sum e^2 <= c |F - R|^2, c being the largest eigenvalue of the
+ *    sum of n n^T. Small strains are alike, with R = I and the symmetric part of F - R.
+ * 2. Psi >= V m |F - R|^2, m = mu + min(3 lambda/2, 0). So Psi < V m threshold/c does. Not exceeding these sums needs
+ *    no polar decomposition to be exact.
+ * 3. StVK has E = (F^T F - I)/2 in place of F - R, and |e| <= 2 |n.E n|. Stable neo-Hookean tets have no such bound
+ *    here: 0, they are always looked at.
+ * 4. NOISE is what kernels in float make of strains, the more of them the flatter the tet. */
+static sfem_real sfemi_bonds_limit(const sfemi_bonds *g, sfem_int e)
+{
+    const sfem_real noise = 2e-6, most = 1e30; /* most: below what float can hold */
+    const sfem_real lambda = g->model->lambda[e], mu = g->model->mu[e], m = mu + fmin(1.5 * lambda, 0.0);
+    const sfem_law law = (sfem_law)g->model->law[e];
+    sfem_real sum[9] = {0, 0, 0, 0, 0, 0, 0, 0, 0}, w[3], v[9], slope = 0, length = 0, strain;
+    sfem_damage_tet tet;
+    int k, i;
+    if (law != SFEM_LINEAR && law != SFEM_COROTATIONAL && law != SFEM_STVK) return 0;
+    sfemi_damage_tet(g, e, &tet);
+    for (k = 0; k < 6; ++k) {
+        for (i = 0; i < 9; ++i) sum[i] += tet.n[k][i / 3] * tet.n[k][i % 3];
+        length = fmax(length, tet.length[k]);
+    }
+    for (k = 0; k < 4; ++k) slope = fmax(slope, sqrt(sfemi_dot3(tet.gradient[k], tet.gradient[k])));
+    sfemi_sym_eigen(3, sum, w, v);
+    strain = 0.9 * sqrt(g->threshold[e] / w[0]) / (law == SFEM_STVK ? 2 : 1) - noise * (1 + slope * length);
+    return strain > 0 && m > 0 ? fmin(tet.volume * m * strain * strain, most) : 0;
+}
+
+static void sfemi_bonds_limits(sfemi_bonds *g)
+{
+    const sfemi_chunks *c = &g->model->chunks;
+    sfem_int b, l;
+    for (b = 0; g->limit && b < c->block_start[c->count]; ++b)
+        for (l = 0; l < c->block[b].count; ++l) {
+            const sfem_real limit = sfemi_bonds_limit(g, c->block[b].tet[l]);
+            g->limit[b] = l ? fmin(g->limit[b], limit) : limit;
+        }
+}
+
 static sfem_status sfemi_bonds_measure(sfemi_bonds *g, const sfem_damage_def *def, sfem_error *err)
 {
     const sfem_model *model = g->model;
@@ -20917,6 +20990,7 @@ static sfem_status sfemi_bonds_measure(sfemi_bonds *g, const sfem_damage_def *de
     for (edge = 0; edge < g->edges; ++edge)
         g->price[edge] = g->def.share * def->toughness * g->area[edge] * g->factor[edge];
     for (e = 0; e < model->mesh.tets; ++e) sfemi_bonds_threshold(g, e);
+    sfemi_bonds_limits(g);
 done:
     return status;
 }
@@ -21448,6 +21522,16 @@ static sfem_status sfemi_damage_create(const sfemi_bonds *bonds,
     d->bonds = bonds;
     SFEMI_TAKE(sfem_int, d->tet, &d->pool, tets);
     SFEMI_TAKE(unsigned char, d->kind, &d->pool, tets);
+    if (bonds->limit) {
+        SFEMI_TAKE(unsigned char, d->warm, &d->pool, model->chunks.block_start[model->chunks.count]);
+        SFEMI_TAKE(unsigned char, d->was_warm, &d->pool, model->chunks.block_start[model->chunks.count]);
+    }
+    SFEMI_TAKE(sfem_int, d->watch, &d->pool, tets);
+    SFEMI_TAKE(sfem_int, d->known_edge, &d->pool, edges + 1);
+    SFEMI_TAKE(unsigned char, d->known, &d->pool, edges);
+    SFEMI_TAKE(sfem_int, d->near, &d->pool, edges);
+    SFEMI_TAKE(sfem_int, d->weigh, &d->pool, tets);
+    SFEMI_TAKE(sfem_int, d->near_end, &d->pool, nodes);
     SFEMI_TAKE(unsigned char, d->held, &d->pool, edges);
     SFEMI_TAKE(unsigned char, d->gripped, &d->pool, nodes);
     SFEMI_TAKE(sfem_real, d->s, &d->pool, 36 * tets);
@@ -21759,6 +21843,8 @@ static void sfemi_damage_refresh(sfemi_damage *d)
     sfem_int e;
     sfemi_damage_unmask(d);
     if (d->apart) sfemi_apart_reset(d);
+    if (d->warm) memset(d->warm, 1, (size_t)model->chunks.block_start[model->chunks.count]);
+    d->marked = 1;
     d->tets = d->events = d->fresh_count = 0;
     for (e = 0; e < model->mesh.tets; ++e) {
         const unsigned mask = sfemi_damage_zetas(d, e, zeta);
@@ -22117,6 +22203,7 @@ typedef struct sfemi_damage_change {
 typedef struct sfemi_damage_round_job {
     sfemi_damage *d;
     const sfemi_damage_step *step;
+    sfem_int first; /* of known_edge */
 } sfemi_damage_round_job;
 
 /* ---- the energy release rate round an edge ----
@@ -22477,13 +22564,85 @@ static sfem_real sfemi_damage_edge_strain(const sfemi_bonds *g, sfem_int k, cons
     return (square[0] * sum[1] + square[1] * sum[0]) / (2 * rest * sum[0] * sum[1]);
 }
 
+/* ---- what a round looks at ----
+ *
+ * 1. The strain of an edge is the mean of those at both ends of the step, so that sum e^2 of a tet that is below its
+ *    threshold at both is below it. The kernels of the forces tell where it may not be: see sfemi_bonds_limit. All
+ *    places at which forces are computed count, of which the one where the step ends is one.
+ * 2. Of the tets in these blocks and the damaged ones the strains are computed, which tell the candidates; of their
+ *    edges, those that may break; of these, the tets, which are weighed. Nothing else is touched.
+ * 3. All arrays are as if everything had been computed: what is skipped is 0, but for strains that nothing asks for.
+ */
+static void sfemi_damage_forget(sfemi_damage *d)
+{
+    sfem_int i;
+    for (i = 0; i < d->watched; ++i) d->candidate[d->watch[i]] = 0;
+    for (i = 0; i < d->knowns; ++i) d->known[d->known_edge[i]] = 0;
+    for (i = 0; i < d->nears; ++i) {
+        d->near_candidate[d->near[i]] = 0;
+        d->ratio[d->near[i]] = 0;
+    }
+    d->watched = d->knowns = d->nears = d->weighed = d->ends = 0;
+}
+
+/* The tets to look at: all, or those of warm blocks that are intact, and the damaged ones. */
+static void sfemi_damage_look(sfemi_damage *d)
+{
+    const sfem_model *model = d->bonds->model;
+    const sfemi_chunks *c = &model->chunks;
+    const sfem_int blocks = d->warm ? c->block_start[c->count] : 0;
+    sfem_int b, l, i;
+    if (!d->warm)
+        for (i = 0; i < model->mesh.tets; ++i) d->watch[d->watched++] = i;
+    for (b = 0; b < blocks; ++b) {
+        if (!(d->warm[b] | d->was_warm[b])) continue;
+        for (l = 0; l < c->block[b].count; ++l)
+            if (d->kind[c->block[b].tet[l]] == SFEMI_INTACT) d->watch[d->watched++] = c->block[b].tet[l];
+    }
+    for (i = 0; d->warm && i < d->tets; ++i) d->watch[d->watched++] = d->tet[i];
+}
+
+/* After a step's round: what was warm at its end is so at the start of the next. */
+static void sfemi_damage_cool(sfemi_damage *d)
+{
+    const sfemi_chunks *c = &d->bonds->model->chunks;
+    unsigned char *was = d->was_warm;
+    if (!d->warm) return;
+    d->was_warm = d->warm;
+    d->warm = was;
+    memset(d->warm, 0, (size_t)c->block_start[c->count]);
+}
+
+/* Lists the edges of a tet. */
+static void sfemi_damage_list(sfemi_damage *d, sfem_int e)
+{
+    const sfem_int *edge = d->bonds->tet_edge + 6 * (size_t)e;
+    int k;
+    for (k = 0; k < 6; ++k) {
+        d->known_edge[d->knowns] = edge[k];
+        d->knowns += !d->known[edge[k]];
+        d->known[edge[k]] = 1;
+    }
+}
+
+/* The strain of edge k, computed if it is not known yet. Not in tasks. */
+static sfem_real sfemi_damage_know(sfemi_damage *d, sfem_int k)
+{
+    if (d->known[k]) return d->strain[k];
+    d->known[k] = 1;
+    d->known_edge[d->knowns++] = k;
+    return d->strain[k] = sfemi_damage_edge_strain(d->bonds, k, d->at[0], d->at[1]);
+}
+
 static void sfemi_damage_strain_task(void *data, sfem_int index)
 {
     const sfemi_damage_round_job *job = (const sfemi_damage_round_job *)data;
     const sfemi_bonds *g = job->d->bonds;
-    sfem_int end, k = sfemi_damage_range(index, g->edges, &end);
-    for (; k < end; ++k)
-        job->d->strain[k] = sfemi_damage_edge_strain(g, k, job->step->u0, job->step->u1);
+    sfem_int end, k = job->first + sfemi_damage_range(index, job->d->knowns - job->first, &end);
+    for (end += job->first; k < end; ++k) {
+        const sfem_int edge = job->d->known_edge[k];
+        job->d->strain[edge] = sfemi_damage_edge_strain(g, edge, job->step->u0, job->step->u1);
+    }
 }
 
 /* Broken edges store nothing, unless pressed and closed: Psi_e <= tr S/2 sum e^2 over the others.
@@ -22492,10 +22651,10 @@ static void sfemi_damage_candidate_task(void *data, sfem_int index)
 {
     sfemi_damage *d = ((const sfemi_damage_round_job *)data)->d;
     const sfemi_bonds *g = d->bonds;
-    sfem_int end, e = sfemi_damage_range(index, g->model->mesh.tets, &end);
+    sfem_int end, i = sfemi_damage_range(index, d->watched, &end);
     int k;
-    for (; e < end; ++e) {
-        const sfem_int *edge = g->tet_edge + 6 * (size_t)e;
+    for (; i < end; ++i) {
+        const sfem_int e = d->watch[i], *edge = g->tet_edge + 6 * (size_t)e;
         sfem_real square = 0;
         for (k = 0; k < 6; ++k) {
             const sfem_real s = d->strain[edge[k]];
@@ -22507,18 +22666,49 @@ static void sfemi_damage_candidate_task(void *data, sfem_int index)
     }
 }
 
-/* Edges that may break: stretched, whole, and in a tet near its limit. */
-static void sfemi_damage_near_task(void *data, sfem_int index)
+/* The places of the ones in flag, ascending; returns how many. */
+static sfem_int sfemi_damage_ones(const unsigned char *flag, sfem_int count, sfem_int *out)
 {
-    sfemi_damage *d = ((const sfemi_damage_round_job *)data)->d;
+    const unsigned char *at = flag, *end = flag + count;
+    sfem_int n = 0;
+    while (at < end && (at = (const unsigned char *)memchr(at, 1, (size_t)(end - at))) != NULL) out[n++] = (sfem_int)(at++ - flag);
+    return n;
+}
+
+/* Edges that may break: stretched, whole, and in a tet near its limit; their nodes and tets. */
+static void sfemi_damage_list_near(sfemi_damage *d)
+{
     const sfemi_bonds *g = d->bonds;
-    sfem_int end, k = sfemi_damage_range(index, g->edges, &end), i;
-    for (; k < end; ++k) {
-        d->near_candidate[k] = 0;
-        if (!(d->strain[k] > 0) || !(d->zeta[k] > 0) || g->never[k] || d->held[k]) continue;
-        for (i = g->tet_start[k]; i < g->tet_start[k + 1] && !d->near_candidate[k]; ++i)
-            d->near_candidate[k] = d->candidate[g->edge_tet[i] / 6];
+    sfem_int i, at, marked = 0;
+    int k;
+    for (i = 0; i < d->watched; ++i) {
+        const sfem_int *edge = g->tet_edge + 6 * (size_t)d->watch[i];
+        if (!d->candidate[d->watch[i]]) continue;
+        for (k = 0; k < 6; ++k) {
+            if (!(d->strain[edge[k]] > 0) || !(d->zeta[edge[k]] > 0) || g->never[edge[k]] || d->held[edge[k]]) continue;
+            d->near_candidate[edge[k]] = 1;
+            marked = 1;
+        }
     }
+    if (!marked) return;
+    d->nears = sfemi_damage_ones(d->near_candidate, g->edges, d->near);
+    for (i = 0; i < d->nears; ++i) {
+        for (at = g->tet_start[d->near[i]]; at < g->tet_start[d->near[i] + 1]; ++at) {
+            const sfem_int e = g->edge_tet[at] / 6;
+            if (d->in_patch[e]) continue;
+            d->in_patch[e] = 1;
+            d->weigh[d->weighed++] = e;
+            sfemi_damage_list(d, e);
+        }
+        for (k = 0; k < 2; ++k) {
+            const sfem_int node = g->end[2 * d->near[i] + k];
+            if (d->stamp[node] < 0) d->near_end[d->ends++] = node;
+            d->stamp[node] = 0;
+        }
+    }
+    for (i = 0; i < d->weighed; ++i) d->in_patch[d->weigh[i]] = 0;
+    for (i = 0; i < d->ends; ++i) d->stamp[d->near_end[i]] = -1;
+    memset(d->most, 0, (size_t)g->model->mesh.nodes * sizeof *d->most);
 }
 
 /* s = S_d e of a tet, and the diagonal of S_d. */
@@ -22570,14 +22760,13 @@ static void sfemi_damage_weigh_task(void *data, sfem_int index)
 {
     sfemi_damage *d = ((const sfemi_damage_round_job *)data)->d;
     const sfemi_bonds *g = d->bonds;
-    sfem_int end, e = sfemi_damage_range(index, g->model->mesh.tets, &end);
-    int k, i, near_candidate;
-    for (; e < end; ++e) {
+    sfem_int end, at = sfemi_damage_range(index, d->weighed, &end);
+    int k, i;
+    for (; at < end; ++at) {
+        const sfem_int e = d->weigh[at];
         sfem_real *s = d->stress + 6 * (size_t)e, *weight = d->weight + 6 * (size_t)e;
         sfem_real diagonal[6], sigma[9];
         sfem_damage_tet tet;
-        for (k = near_candidate = 0; k < 6; ++k) near_candidate |= d->near_candidate[g->tet_edge[6 * e + k]];
-        if (!near_candidate) continue;
         sfemi_damage_tet(g, e, &tet);
         sfemi_damage_tet_stress(d, e, &tet, s, diagonal);
         sfemi_damage_cauchy(&tet, s, sigma);
@@ -22616,11 +22805,10 @@ static void sfemi_damage_ratio_task(void *data, sfem_int index)
     sfemi_damage *d = ((const sfemi_damage_round_job *)data)->d;
     const sfemi_bonds *g = d->bonds;
     const sfem_damage_def *def = &g->def;
-    sfem_int end, k = sfemi_damage_range(index, g->edges, &end), i;
-    for (; k < end; ++k) {
+    sfem_int end, at = sfemi_damage_range(index, d->nears, &end), i;
+    for (; at < end; ++at) {
+        const sfem_int k = d->near[at];
         sfem_real sum = 0, pull = 0, volume = 0;
-        d->ratio[k] = 0;
-        if (!d->near_candidate[k]) continue;
         for (i = g->tet_start[k]; i < g->tet_start[k + 1]; ++i) {
             const sfem_real v = g->model->volume[g->edge_tet[i] / 6];
             sum += d->weight[g->edge_tet[i]];
@@ -22641,10 +22829,12 @@ static void sfemi_damage_most_task(void *data, sfem_int index)
 {
     sfemi_damage *d = ((const sfemi_damage_round_job *)data)->d;
     const sfemi_bonds *g = d->bonds;
-    sfem_int end, i = sfemi_damage_range(index, g->model->mesh.nodes, &end), k;
-    for (; i < end; ++i)
+    sfem_int end, at = sfemi_damage_range(index, d->ends, &end), k;
+    for (; at < end; ++at) {
+        const sfem_int i = d->near_end[at];
         for (k = g->node_start[i], d->most[i] = 0; k < g->node_start[i + 1]; ++k)
             d->most[i] = fmax(d->most[i], d->ratio[g->node_edge[k]]);
+    }
 }
 
 /* Is edge k the first of the edges with the largest ratio round both of its nodes? */
@@ -22856,7 +23046,7 @@ static sfem_real sfemi_damage_limit(const sfemi_damage *d, sfem_int k)
 }
 
 /* w_k, in tension or compression. */
-static sfem_real sfemi_damage_carried(const sfemi_damage *d, sfem_int k)
+static sfem_real sfemi_damage_carried(sfemi_damage *d, sfem_int k)
 {
     const sfemi_bonds *g = d->bonds;
     sfem_real sum = 0;
@@ -22865,6 +23055,8 @@ static sfem_real sfemi_damage_carried(const sfemi_damage *d, sfem_int k)
         const int place = (int)(g->edge_tet[at] % 6);
         sfem_real s[6], diagonal[6];
         sfem_damage_tet tet;
+        int j;
+        for (j = 0; j < 6; ++j) (void)sfemi_damage_know(d, g->tet_edge[6 * (g->edge_tet[at] / 6) + j]);
         sfemi_damage_tet(g, g->edge_tet[at] / 6, &tet);
         sfemi_damage_tet_stress(d, g->edge_tet[at] / 6, &tet, s, diagonal);
         if (diagonal[place] > 0) sum += tet.volume * s[place] * s[place] / (2 * diagonal[place]);
@@ -22951,7 +23143,7 @@ static int sfemi_damage_is_idle(const sfemi_damage *d, sfem_int k)
 }
 
 /* Is the crack round edge k open? Then an edge as long as one of the broken ones of its tets would be beyond its limit. */
-static int sfemi_damage_is_open(const sfemi_damage *d, sfem_int k)
+static int sfemi_damage_is_open(sfemi_damage *d, sfem_int k)
 {
     const sfemi_bonds *g = d->bonds;
     sfem_int at;
@@ -22962,8 +23154,8 @@ static int sfemi_damage_is_open(const sfemi_damage *d, sfem_int k)
         const sfem_real young = mu * (3 * lambda + 2 * mu) / (lambda + mu);
         for (j = 0; j < 6; ++j) {
             const sfem_int other = g->tet_edge[6 * e + (size_t)j];
-            const sfem_real strain = d->strain[other]; /* its tets' volume is 2 L a */
-            if (d->zeta[other] > 0 || !(strain > 0)) continue;
+            sfem_real strain;
+            if (d->zeta[other] > 0 || !((strain = sfemi_damage_know(d, other)) > 0)) continue; /* its tets' volume is 2 L a */
             if (young * strain * strain * g->length[other] * g->area[other] >= sfemi_damage_limit(d, other)) return 1;
         }
     }
@@ -22974,7 +23166,7 @@ static int sfemi_damage_is_open(const sfemi_damage *d, sfem_int k)
  *   in each of these tets it is the only link between its nodes, or the tet does not hang together; or
  *   it carries little, its nodes are held without it, and the crack is open there.
  * Breaking it damages hardly any further tet: cracks do not grow by it. */
-static int sfemi_damage_is_dangling(const sfemi_damage *d, sfem_int k)
+static int sfemi_damage_is_dangling(sfemi_damage *d, sfem_int k)
 {
     const sfemi_bonds *g = d->bonds;
     sfem_real zeta[6];
@@ -23024,6 +23216,12 @@ static sfem_real sfemi_damage_soft(const sfemi_damage *d, sfem_int k)
     return (def->soften[1] - strain) / (def->soften[1] - def->soften[0]);
 }
 
+/* A round's task over so many. */
+static void sfemi_damage_run(void (*task)(void *, sfem_int), sfem_int count, sfemi_damage_round_job *job)
+{
+    if (count) sfemi_run(job->step->exec, (count + SFEMI_ROUND_TASK - 1) / SFEMI_ROUND_TASK, task, job);
+}
+
 static void sfemi_damage_soften(sfemi_damage *d, const sfemi_damage_step *step,
                                 sfemi_damage_change *change)
 {
@@ -23042,8 +23240,8 @@ static void sfemi_damage_soften(sfemi_damage *d, const sfemi_damage_step *step,
 static sfem_int sfemi_damage_sort_peaks(sfemi_damage *d)
 {
     sfem_int *peak = d->queue, count = 0, gap, i, j, k;
-    for (k = 0; k < d->bonds->edges; ++k)
-        if (d->ratio[k] >= SFEMI_DAMAGE_LEAST && sfemi_damage_is_peak(d, k)) peak[count++] = k;
+    for (i = 0; i < d->nears; ++i)
+        if (d->ratio[d->near[i]] >= SFEMI_DAMAGE_LEAST && sfemi_damage_is_peak(d, d->near[i])) peak[count++] = d->near[i];
     for (gap = count / 2; gap > 0; gap /= 2) /* Shell 1959 */
         for (i = gap; i < count; ++i) {
             k = peak[i];
@@ -23111,16 +23309,15 @@ static void sfemi_damage_advance(sfemi_damage *d, const sfemi_damage_step *step,
  * its neighbours: broken ones stiffen their tets with SFEM_DAMAGE_ZSZ, and a crack would wait there for ever. */
 static void sfemi_damage_break_peaks(sfemi_damage *d, const sfemi_damage_step *step, sfemi_damage_change *change)
 {
-    const sfemi_bonds *g = d->bonds;
-    const sfem_int per = SFEMI_ROUND_TASK;
     sfemi_damage_round_job job;
-    sfem_int k;
+    sfem_int i;
     int pass, again = 1;
     job.d = d;
     job.step = step;
     for (pass = 0; pass < 4 && again; ++pass) {
-        if (pass) sfemi_run(step->exec, (g->model->mesh.nodes + per - 1) / per, sfemi_damage_most_task, &job);
-        for (k = again = 0; k < g->edges; ++k) {
+        if (pass) sfemi_damage_run(sfemi_damage_most_task, d->ends, &job);
+        for (i = again = 0; i < d->nears; ++i) {
+            const sfem_int k = d->near[i];
             if (d->ratio[k] < 1 || !(d->zeta[k] > 0) || !sfemi_damage_is_peak(d, k)) continue;
             if (sfemi_damage_try(d, k, 0, SFEM_BROKE_CRITERION, step, change)) continue;
             d->ratio[k] = 0;
@@ -23129,44 +23326,52 @@ static void sfemi_damage_break_peaks(sfemi_damage *d, const sfemi_damage_step *s
     }
 }
 
+/* The strains that matter, candidates, edges that may break and what their tets carry. */
+static void sfemi_damage_survey(sfemi_damage *d, sfemi_damage_round_job *job)
+{
+    sfem_int i;
+    sfemi_damage_forget(d);
+    d->at[0] = job->step->u0;
+    d->at[1] = job->step->u1;
+    sfemi_damage_look(d);
+    for (i = 0; i < d->watched; ++i) sfemi_damage_list(d, d->watch[i]);
+    job->first = 0;
+    sfemi_damage_run(sfemi_damage_strain_task, d->knowns, job);
+    sfemi_damage_run(sfemi_damage_candidate_task, d->watched, job);
+    if (d->apart) sfemi_apart_traces(d);
+    job->first = d->knowns;
+    sfemi_damage_list_near(d);
+    sfemi_damage_run(sfemi_damage_strain_task, d->knowns - job->first, job);
+    sfemi_damage_run(sfemi_damage_weigh_task, d->weighed, job);
+}
+
 /* One round of breaking after a step: softening, or local maxima of the criterion at the midpoint;
  * edges that a blade has marked; then dangling edges. Every break lowers the invariant, at worst by
  * nothing, but for edges that a blade has to force. Fills *change and d->event[0 .. d->events).
- * What is far from breaking costs 12 ns a tet, of a body that rotates 34; a break some 40 us. */
+ * What is far from breaking costs next to nothing; a break some 40 us. */
 static void sfemi_damage_round(sfemi_damage *d, const sfemi_damage_step *step,
                                sfemi_damage_change *change)
 {
     const sfemi_bonds *g = d->bonds;
-    const sfem_int per = SFEMI_ROUND_TASK, edges = (g->edges + per - 1) / per;
-    const sfem_int tets = (g->model->mesh.tets + per - 1) / per;
     const sfem_int pieces = d->pieces;
     sfemi_damage_round_job job;
     sfem_int k, i;
-    int candidate;
     memset(change, 0, sizeof *change);
     d->events = 0;
     job.d = d;
     job.step = step;
-    sfemi_run(step->exec, edges, sfemi_damage_strain_task, &job);
-    sfemi_run(step->exec, tets, sfemi_damage_candidate_task, &job);
-    if (d->apart) sfemi_apart_traces(d);
-    candidate = memchr(d->candidate, 1, (size_t)g->model->mesh.tets) != NULL;
-    if (candidate) {
-        sfemi_run(step->exec, edges, sfemi_damage_near_task, &job);
-        sfemi_run(step->exec, tets, sfemi_damage_weigh_task, &job);
-    } else {
-        memset(d->near_candidate, 0, (size_t)g->edges);
-    }
+    sfemi_damage_survey(d, &job);
     if (d->peak) {
         sfemi_damage_soften(d, step, change);
-    } else if (candidate) {
-        sfemi_run(step->exec, edges, sfemi_damage_ratio_task, &job);
-        sfemi_run(step->exec, (g->model->mesh.nodes + per - 1) / per, sfemi_damage_most_task, &job);
+    } else if (d->nears) {
+        sfemi_damage_run(sfemi_damage_ratio_task, d->nears, &job);
+        sfemi_damage_run(sfemi_damage_most_task, d->ends, &job);
         if (g->by_rate) sfemi_damage_advance(d, step, change);
         else sfemi_damage_break_peaks(d, step, change);
     }
-    for (k = 0; k < g->edges; ++k)
-        if (d->mark[k] && d->zeta[k] > 0) sfemi_damage_try(d, k, 0, SFEM_BROKE_BLADE, step, change);
+    for (k = 0, i = d->marked, d->marked = 0; i && k < g->edges; ++k)
+        if (d->mark[k] && d->zeta[k] > 0)
+            d->marked |= !sfemi_damage_try(d, k, 0, SFEM_BROKE_BLADE, step, change);
     sfemi_damage_merge(d);
     sfemi_damage_sweep_dangling(d, step, change);
     change->broken = d->events;
@@ -23340,6 +23545,7 @@ static sfem_int sfemi_damage_cut(sfemi_damage *d, const sfem_real *u,
         d->mark[k] = 1;
         ++count;
     }
+    d->marked |= count > 0;
     return count;
 }
 
@@ -23388,12 +23594,20 @@ static void sfemi_damage_pieces(const sfemi_damage *d, const sfem_real *u, const
 
 /* What bodies ask of their damage; NULL: they cannot break. */
 static sfem_int sfemi_damage_tets(const sfemi_damage *d) { return d ? d->tets : 0; }
+/* Forces tell which blocks are warm. */
+static void sfemi_damage_ask(const sfemi_damage *d, sfemi_forces *ask)
+{
+    if (!d) return;
+    ask->limit = d->bonds->limit;
+    ask->warm = d->warm;
+}
 static sfem_int sfemi_damage_events(const sfemi_damage *d) { return d ? d->events : 0; }
 static sfem_real sfemi_damage_broken(const sfemi_damage *d) { return d ? d->account[SFEMI_BROKEN] : 0; }
 #else /* no body has any: the same for NULL, the rest is never called */
 typedef struct sfemi_bonds { int none; } sfemi_bonds;
 typedef struct sfemi_damage { int none; } sfemi_damage;
 static sfem_int sfemi_damage_tets(const sfemi_damage *d) { (void)d; return 0; }
+static void sfemi_damage_ask(const sfemi_damage *d, sfemi_forces *ask) { (void)d, (void)ask; }
 static sfem_int sfemi_damage_events(const sfemi_damage *d) { (void)d; return 0; }
 static sfem_real sfemi_damage_broken(const sfemi_damage *d) { (void)d; return 0; }
 static size_t sfemi_damage_state_bytes(const sfemi_bonds *g) { (void)g; return 0; }
@@ -26680,7 +26894,7 @@ static void sfemi_rotated_locate(sfem_body *b, const sfem_real *u)
     const sfem_int nodes = model->mesh.nodes;
     sfemi_rotated *t = &b->rotated;
     sfem_int i, k;
-    int c, held = !b->damage;
+    int c, held = !b->damage || u;
     for (k = 0; k < t->pieces; ++k) held &= t->piece[k].held;
     if (held) return; /* nobody asks */
     u = sfemi_rotated_pose(b, u);
@@ -27993,7 +28207,7 @@ static sfemi_safeguard_energies sfemi_safeguard_measure(sfem_body *b, const sfem
 
 static sfem_real sfemi_safeguard_forces(sfem_body *b, const sfem_real *u, sfem_real *f)
 {
-    const int rotates = b->def.frame == SFEM_FRAME_NODE || b->def.frame == SFEM_FRAME_PIECE;
+    const int rotates = b->model->rotates && (b->def.frame == SFEM_FRAME_NODE || b->def.frame == SFEM_FRAME_PIECE);
     sfemi_forces ask;
     memset(&ask, 0, sizeof ask);
     ask.u = u;
@@ -28002,8 +28216,11 @@ static sfem_real sfemi_safeguard_forces(sfem_body *b, const sfem_real *u, sfem_r
     ask.force = f;
     ask.work = b->rotated.work;
     ask.exec = &b->exec;
+    sfemi_damage_ask(b->damage, &ask);
     if (sfemi_damage_tets(b->damage) && !b->model->rotates) { /* linear: damaged less intact, from the intact force */
-        const sfem_real psi = sfem_model_forces(b->model, u, SFEM_DOUBLE, f, NULL, NULL, b->rotated.work, &b->exec);
+        sfem_real psi;
+        ask.precision = SFEM_DOUBLE;
+        psi = sfemi_fem_forces(b->model, b->model->chunks.block, &ask);
         return psi + sfemi_damage_forces(b->damage, &ask);
     }
     ask.spin = rotates ? b->rotated.spin : NULL;
@@ -29700,10 +29917,14 @@ static sfem_real sfemi_fracture_energy(const sfem_body *b, sfem_real *kinetic)
     const sfemi_state *s = &b->state;
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     sfem_real stretch = 0, sum = 0;
-    size_t i;
-    for (i = 0; i < n; ++i) {
-        stretch += (g->u[i] - s->u[i]) * (g->f[i] - s->f[i]);
-        if (!(b->mask[i / 3] >> (i % 3) & 1)) sum += b->model->node_mass[i / 3] * g->w[i] * g->w[i] / 2;
+    size_t i, c;
+    for (i = 0; i < n; i += 3) {
+        const sfem_real mass = b->model->node_mass[i / 3];
+        const unsigned mask = b->mask[i / 3];
+        for (c = 0; c < 3; ++c) {
+            stretch += (g->u[i + c] - s->u[i + c]) * (g->f[i + c] - s->f[i + c]);
+            if (!(mask >> c & 1)) sum += mass * g->w[i + c] * g->w[i + c] / 2;
+        }
     }
     *kinetic = sum * b->scheme.r;
     return *kinetic +
@@ -29728,11 +29949,19 @@ static sfem_real sfemi_fracture_work(sfem_body *b)
     const sfemi_step t = b->step;
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     const int loaded = s->head->loaded;
+    const sfem_real half1 = s->head->started == SFEMI_RUNNING ? s->head->h / 2 : 0, half = t.h / 2;
     sfem_real work = g->rejected ? sfemi_safeguard_held_work(b) : 0;
     sfem_int k, l;
     size_t i;
     int c;
-    for (i = 0; i < n; ++i) {
+    for (i = 0; i < n && !loaded && !g->rejected; i += 3) { /* the same, of a body that only gravity pulls */
+        const unsigned mask = b->mask[i / 3];
+        const sfem_real m = mass[i / 3];
+        for (c = 0; c < 3; ++c)
+            if (!(mask >> c & 1))
+                work += m * gravity[c] * (half1 * s->w[i + (size_t)c] + half * g->w[i + (size_t)c]);
+    }
+    for (i = 0; i < n && (loaded || g->rejected); ++i) {
         sfem_real load = mass[i / 3] * gravity[i % 3];
         if (b->mask[i / 3] >> (i % 3) & 1) continue;
         if (loaded && !g->rejected)
@@ -29872,6 +30101,7 @@ static void sfemi_fracture_round(sfem_body *b)
     step.pinned = b->mask;
     step.exec = &b->exec;
     sfemi_damage_round(b->damage, &step, &change);
+    sfemi_damage_cool(b->damage);
     if (!change.broken && !change.softened) return;
     b->refactor.since_break = 0;
     fallen = g->rejected ? change.psi1
@@ -32251,6 +32481,7 @@ SFEM_DEF sfem_status sfem_body_break_edge(sfem_body *b, sfem_int i, sfem_int j, 
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "the edge between nodes %d and %d is unbreakable", (int)i,
                           (int)j);
     if (!b->damage->mark[edge]) b->damage->mark[edge] = 1;
+    b->damage->marked = 1;
     sfemi_sleep_wake_up(b);
     return SFEM_OK;
 }
