@@ -265,6 +265,38 @@ static void a_ball_pokes(void **state)
     sc_close(w);
 }
 
+/* Also where nothing is touched otherwise, and while sliders are moved. */
+static void the_ball_is_in_every_scene(void **state)
+{
+    const double away[3] = {0, 1, 0};
+    int k, c;
+    (void)state;
+    for (k = 0; k < SC_SCENES; ++k) {
+        sc_world *w = opened(sc_scenes[k]->name, NULL, 0);
+        double eye[3], distance, x[3], force[3];
+        const int friction = sc_slider_of(w->scene, "friction"), obstacles = w->obstacles;
+        sfem_error err;
+        for (c = 0; c < 3; ++c) eye[c] = 0.5 * (w->box[0][c] + w->box[1][c]) - 3 * away[c];
+        if (w->item[0].body) {
+            assert_ok(sc_poke(w, eye, away, &distance, &err), err);
+            assert_true(w->obstacles == obstacles + 1 && distance > 2 && distance < 4);
+            assert_ok(sc_run(w, 5, &err), err);
+            assert_true(energy_made(w) < 0.01);
+            if (friction >= 0) assert_ok(sc_set(&w, friction, 0.1, &err), err);
+            assert_true(w->obstacles == obstacles + 1 && sc_hand(w, x, force) && isfinite(force[0] + force[1] + force[2]));
+            if (friction >= 0) assert_near(w->obstacle[obstacles].def.contact.friction, 0.1, 0, 0);
+            assert_ok(sc_run(w, 5, &err), err);
+            sc_release(w);
+            assert_true(w->obstacles == obstacles && !sc_hand(w, x, force));
+            assert_ok(sc_poke(w, eye, away, &distance, &err), err);
+            assert_ok(sc_set(&w, sc_slider_of(w->scene, "E"), 2 * w->value[sc_slider_of(w->scene, "E")], &err), err);
+            assert_true(w->obstacles == obstacles && !w->poking); /* new bodies, and no ball */
+            assert_ok(sc_run(w, 5, &err), err);
+        }
+        sc_close(w);
+    }
+}
+
 static void bad_values_leave_the_scene_as_it_was(void **state)
 {
     static const double bad[4] = {NAN, INFINITY, -1, 1e12};
@@ -387,6 +419,7 @@ int main(void)
         cmocka_unit_test(a_blade_leaves_nothing_hanging),
         cmocka_unit_test(the_hand_takes_what_the_ray_meets),
         cmocka_unit_test(a_ball_pokes),
+        cmocka_unit_test(the_ball_is_in_every_scene),
         cmocka_unit_test(bad_values_leave_the_scene_as_it_was),
         cmocka_unit_test(a_softer_body_goes_on_where_it_was),
         cmocka_unit_test(files_become_a_metre_large),

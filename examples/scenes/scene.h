@@ -570,14 +570,29 @@ SC_STATIC sfem_status sc_grab(sc_world *w, const double origin[3], const double 
 }
 
 #ifndef SFEM_NO_CONTACT
-/* A ball touches what a ray meets first, and goes on along the ray until its centre is where that was; or it is beside the
- * bodies, where the ray passes the middle of the scene. *distance: how far away that is, m. */
+/* Is no node so near to x? */
+SC_STATIC int sc_is_free(sc_world *w, const double x[3], double radius)
+{
+    sfem_int i;
+    int k;
+    for (k = 0; k < w->items; ++k) {
+        sc_positions(w, k, w->x);
+        for (i = 0; i < w->mesh.nodes; ++i) {
+            const double *y = w->x + 3 * (size_t)i;
+            if (hypot(hypot(x[0] - y[0], x[1] - y[1]), x[2] - y[2]) < radius) return 0;
+        }
+    }
+    return 1;
+}
+
+/* A ball goes along a ray until its centre is where the ray meets a body first, or else where it passes the middle of the
+ * scene. It begins as near to that as it can without a node inside. *distance: how far away that is, m. */
 SC_STATIC sfem_status sc_poke(sc_world *w, const double origin[3], const double direction[3], double *distance, sfem_error *err)
 {
     sfem_obstacle_def ball = sfem_default_obstacle_def();
     sfem_int tet[4];
     double bary[4], back, length = 0;
-    int c, met;
+    int c, met, tries;
     sc_release(w);
     for (c = 0; c < w->items; ++c)
         if (!w->item[c].body) return sc_fail(err, SFEM_BAD_ARGUMENT, "modal bodies touch nothing: choose another scene to poke at");
@@ -587,10 +602,11 @@ SC_STATIC sfem_status sc_poke(sc_world *w, const double origin[3], const double 
         *distance += direction[c] * (0.5 * (w->box[0][c] + w->box[1][c]) - origin[c]) / length;
     ball.kind = SFEM_OBSTACLE_SPHERE;
     ball.size[0] = 0.06 * hypot(w->box[1][0] - w->box[0][0], w->box[1][2] - w->box[0][2]);
-    for (back = met ? 1.05 * ball.size[0] / sqrt(length) : 0, c = 0; c < 3; ++c) {
-        ball.position[c] = origin[c] + (*distance - back) * direction[c];
-        w->ball_to[c] = origin[c] + *distance * direction[c];
+    for (back = 0, tries = 0; tries < 100; ++tries, back += 0.5 * ball.size[0] / sqrt(length)) {
+        for (c = 0; c < 3; ++c) ball.position[c] = origin[c] + (*distance - back) * direction[c];
+        if (sc_is_free(w, ball.position, 1.05 * ball.size[0])) break;
     }
+    for (c = 0; c < 3; ++c) w->ball_to[c] = origin[c] + *distance * direction[c];
     SC_TRY(sc_add_obstacle(w, &ball, err));
     w->poking = 1;
     return SFEM_OK;

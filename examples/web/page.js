@@ -379,6 +379,7 @@ function open(k, wanted, keepCamera) {
 
 function opened(k, wanted, keepCamera) {
   current = k;
+  held = null; /* the hand and the ball were of the world before */
   ++changes;
   values = [...wanted];
   swipe.length = 0;
