@@ -18,7 +18,7 @@ import urllib.error
 import urllib.request
 
 # 300 steps of each, natively and in the browser; with SIMD, and without
-HASHED = ['grab', 'cut:blade=0.5', 'jelly', 'twist', 'drop', 'gripper', 'shatter:tets=600', 'tear', 'modes', 'mesh']
+HASHED = ['grab', 'cut:blade=0.5', 'jelly', 'twist', 'drop', 'gripper:tets=800', 'shatter:tets=600', 'tear:tets=800', 'modes', 'mesh']
 HASHED_PLAIN = ['cut:blade=0.5', 'shatter:tets=600']
 
 
