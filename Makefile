@@ -331,7 +331,9 @@ $(BUILD)/tests/test_stress: bench/stress.h tests/bodies.h
 
 $(BUILD)/tests/test_scenes: $(wildcard examples/scenes/*.h) examples/web/portable_math.h
 
-$(addprefix $(BUILD)/bench/,real integrators accuracy stress hash mesher): tests/bodies.h
+$(addprefix $(BUILD)/bench/,real integrators accuracy stress hash mesher): tests/bodies.h tests/blocks.h
+
+$(BUILD)/bench/hash: $(wildcard examples/scenes/*.h)
 
 $(BUILD)/bench/%: bench/%.c $(wildcard bench/*.h) softfem.h $(BUILD)/softfem.o
 	@mkdir -p $(@D)

@@ -19,6 +19,7 @@
 
 #include "reference.h"
 #include "../tests/linear.h"
+#include "../tests/blocks.h"
 #include "../tests/strip.h"
 
 #define PI 3.14159265358979323846
@@ -46,14 +47,6 @@ static void row(double expected, double found, double tolerance, const char *for
 static void title(const char *text)
 {
     printf("\n%-78s %11s %11s %9s\n", text, "expected", "found", "within");
-}
-
-static double uniform(uint64_t *state, double low, double high) /* splitmix64 */
-{
-    uint64_t z = (*state += 0x9e3779b97f4a7c15u);
-    z = (z ^ (z >> 30)) * 0xbf58476d1ce4e5b9u;
-    z = (z ^ (z >> 27)) * 0x94d049bb133111ebu;
-    return low + (high - low) * ((double)((z ^ (z >> 31)) >> 11) / 9007199254740992.0);
 }
 
 /* ---- bars ---- */
@@ -90,7 +83,7 @@ static bar make_bar(int nx, int ny, double length, double width, sfem_material m
     b.pins = (sfem_int *)malloc((size_t)b.mesh.nodes * sizeof *b.pins);
     for (i = 0; i < b.mesh.nodes; ++i)
         if (b.mesh.x[3 * i] == 0) b.pins[b.pin_count++] = i;
-    for (i = 0; i < 3 * b.mesh.nodes; ++i) b.mesh.x[i] += uniform(&random, -jitter, jitter);
+    block_jitter(&b.mesh, jitter, &random);
     def.mesh = &b.mesh;
     def.material = m;
     def.mass = mass;
@@ -162,7 +155,7 @@ static double patch(sfem_law law)
     char *outer;
     int c, k;
     bench_must(sfem_mesh_ball(1, 3, NULL, &mesh, &err), &err);
-    for (i = 0; i < 3 * mesh.nodes; ++i) mesh.x[i] += uniform(&random, -0.03, 0.03);
+    block_jitter(&mesh, 0.03, &random);
     bench_must(sfem_mesh_surface(&mesh, NULL, &surface, &err), &err);
     outer = (char *)calloc((size_t)mesh.nodes, 1);
     pins = (sfem_int *)malloc((size_t)mesh.nodes * sizeof *pins);
@@ -649,7 +642,7 @@ static double pqr_against_newmark(double p, int damped)
     uint64_t random = 3;
     sfem_int i;
     int k, j;
-    for (i = 0; i < 3 * b.n; ++i) v[i] = uniform(&random, -1, 1);
+    for (i = 0; i < 3 * b.n; ++i) v[i] = block_uniform(&random, -1, 1);
     for (k = 0; k < 2; ++k) {
         sfem_body_def def = sfem_default_body_def();
         def.integrator = k ? SFEM_NEWMARK : SFEM_PQR;
@@ -1115,7 +1108,7 @@ static void calculix(void)
         char directory[BENCH_SCRATCH], path[400];
         def.newton.tolerance = 1e-10;
         def.newton.load_steps = finite ? 10 : 1;
-        for (i = 0; i < 3 * b.n; ++i) force[i] = uniform(&random, -10, 10) + (i % 3 == 2 ? -18 : 0);
+        for (i = 0; i < 3 * b.n; ++i) force[i] = block_uniform(&random, -10, 10) + (i % 3 == 2 ? -18 : 0);
         for (i = 0; i < b.pin_count; ++i) memset(force + 3 * b.pins[i], 0, 3 * sizeof *force);
         body = hold(&b, def);
         bench_must(sfem_body_set_lasting_force(body, force, &err), &err);

@@ -1,5 +1,5 @@
-/* Hashes of what bodies do: the scenes of stress.h, shortened, by every form of every integrator, and the options of
- * a body that those leave out. For edits that must not change a bit: keep the output, edit, compare.
+/* Hashes of what bodies do: the scenes of stress.h, shortened, by every form of every integrator, the options of a body
+ * that those leave out, and the scenes of examples/scenes. For edits that must not change a bit: keep the output, edit, compare.
  *
  *     build/bench/hash [--every N]     each line: 64 bits of a hash, steps done, the scene
  *
@@ -10,6 +10,8 @@
 #define _DEFAULT_SOURCE
 #include "stress.h"
 #include "../tests/linear.h"
+#include "../tests/blocks.h"
+#include "../examples/scenes/all.h"
 
 static uint64_t hash_of(uint64_t hash, const void *data, size_t bytes)
 {
@@ -163,12 +165,9 @@ static sfem_status hash_build(hash_rig *g, sfem_law law, hash_option option, sfe
     sfem_model_def def = linear_model_def();
     sfem_body_def body = sfem_default_body_def();
     uint64_t random = 3;
-    sfem_status status = sfem_mesh_block(cells, size, SFEM_CELL_5_TETS, NULL, &g->mesh, err);
-    sfem_int i;
+    sfem_status status = block_mesh(cells, size, 0.02, &random, &g->mesh, err);
     if (status) return status;
-    for (i = 0; i < g->mesh.nodes; ++i)
-        if (g->mesh.x[3 * i] < 1e-9) g->pin[g->pins++] = i;
-    for (i = 0; i < 3 * g->mesh.nodes; ++i) g->mesh.x[i] += stress_uniform(&random, -0.02, 0.02);
+    g->pins = block_clamp(cells, g->pin);
     def.mesh = &g->mesh;
     def.material = linear_material();
     def.material.young = 2e5;
@@ -312,6 +311,23 @@ static void hash_options(sfem_law law, hash_option option)
     sfem_mesh_free(&g.mesh);
 }
 
+static void hash_example(const sc_scene *scene)
+{
+    uint64_t hash = 0xcbf29ce484222325u;
+    sfem_error err;
+    sc_world *w;
+    int k;
+    memset(&err, 0, sizeof err);
+    w = sc_open(scene, NULL, &err);
+    for (k = 0; w && k < 40 && !sc_step(w, &err); ++k) {
+        hash = hash_int(hash, (int64_t)sc_hash(w));
+        if (w->item[0].body) hash = hash_body(hash, w->item[0].body);
+    }
+    hash = hash_of(hash, err.text, strlen(err.text));
+    print(hash, k, "examples/scenes", scene->name);
+    sc_close(w);
+}
+
 int main(int argc, char **argv)
 {
     int every = 4, k, f, law;
@@ -324,6 +340,7 @@ int main(int argc, char **argv)
     }
     for (law = SFEM_LINEAR; law <= SFEM_NEOHOOKEAN; ++law)
         for (k = 0; k < HASH_OPTION_COUNT; ++k) hash_options((sfem_law)law, (hash_option)k);
+    for (k = 0; k < SC_SCENES; ++k) hash_example(sc_scenes[k]);
     for (k = 0; stress_fixed(k, &s); ++k)
         for (f = 0; f < STRESS_FORM_COUNT; ++f)
             if ((k + k / 12 + f) % every == 0 && stress_applies(s.family, (stress_form)f))

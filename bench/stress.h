@@ -46,6 +46,7 @@
 #include "softfem.h"
 #include "../tests/bodies.h"
 #include "../tests/linear.h"
+#include "../tests/blocks.h"
 
 #if defined(__GNUC__)
 #define STRESS_STATIC static __attribute__((unused))
@@ -212,15 +213,9 @@ STRESS_STATIC const char *stress_verdict_about(int k)
     return names[k];
 }
 
-/* ---- random numbers: splitmix64 [Steele, Lea, Flood 2014] ---- */
+/* ---- random numbers ---- */
 
-STRESS_STATIC double stress_uniform(uint64_t *state, double low, double high)
-{
-    uint64_t z = (*state += 0x9e3779b97f4a7c15u);
-    z = (z ^ (z >> 30)) * 0xbf58476d1ce4e5b9u;
-    z = (z ^ (z >> 27)) * 0x94d049bb133111ebu;
-    return low + (high - low) * ((double)((z ^ (z >> 31)) >> 11) / 9007199254740992.0);
-}
+STRESS_STATIC double stress_uniform(uint64_t *state, double low, double high) { return block_uniform(state, low, high); }
 
 STRESS_STATIC double stress_normal(uint64_t *state)
 {
@@ -330,10 +325,8 @@ STRESS_STATIC sfem_status stress_mesh(stress_body *s, uint64_t *random, sfem_err
     memcpy(s->mesh.x, block.x, 3 * (size_t)block.nodes * sizeof(sfem_real));
     memcpy(s->mesh.tet, block.tet, 4 * (size_t)block.tets * sizeof(sfem_int));
     sfem_mesh_free(&block);
-    for (i = 0; i < s->mesh.nodes; ++i)
-        if (s->mesh.x[3 * i] < 1e-9) s->pins[s->pin_count++] = i;
-    for (i = 0; i < 3 * s->mesh.nodes; ++i)
-        s->mesh.x[i] += stress_uniform(random, -0.01, 0.01); /* no symmetry hides a mistake */
+    s->pin_count = block_clamp(cells, s->pins);
+    block_jitter(&s->mesh, 0.01, random);
     for (i = 0; i < 3; ++i) s->centre[i] = size[i] / 2;
     s->size = size[0];
     if (s->scene->family == STRESS_SLIVER)

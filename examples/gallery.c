@@ -238,17 +238,17 @@ static void twist(const char *out, int quick)
 }
 
 /* --------------------------------------------------------------------------------------------
- * a plate, 1 x 1 x 0.05 m, held at its edges; handles go down at 4 m/s and let go
+ * a plate, 1 x 1 x 0.05 m, held at its edges; handles go down at 7 m/s and let go
  * -------------------------------------------------------------------------------------------- */
 
 static void plate(const char *out, int quick)
 {
     const double lower[3] = {0, 0, -0.42}, upper[3] = {1, 1, 0.05}, from[3] = {0.5, -1, 0.62}, by[3] = {0, 0, 0};
     ex_picture *p = begin(640, 470, lower, upper, from);
-    sc_world *w = scene("shatter", "tets", quick ? 500.0 : 7840.0, "h", quick ? 1.0 : 0.5, "toughness", 22.0, "damping", 0.1,
-                        "accuracy", 1e-6, "blow", 7.0, NULL);
+    sc_world *w = scene("shatter", "tets", quick ? 500.0 : 7840.0, "h", quick ? 1.0 : 0.5, "toughness", 60.0, "damping", 0.1,
+                        "accuracy", 1e-4, "blow", 7.0, NULL);
     step(w, quick ? 60 : 330);
-    p->ground = -0.42;
+    p->ground = w->floor;
     draw_fragments(p, w->item[0].body, by, outside, inside);
     end(p, out, "plate.png");
     sc_close(w);

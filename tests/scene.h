@@ -6,6 +6,7 @@
 
 #include "support.h"
 #include "linear.h"
+#include "blocks.h"
 
 /* --------------------------------------------------------------------------------------------
  * scenes
@@ -36,15 +37,13 @@ TEST_STATIC scene bar(sfem_int nx, sfem_int ny, sfem_material material)
     const sfem_int cells[3] = {nx, ny, ny};
     const sfem_real size[3] = {0.1 * nx, 0.1 * ny, 0.1 * ny};
     sfem_model_def def = linear_model_def();
-    test_random random = {11};
+    uint64_t random = 11;
     sfem_error err;
-    sfem_int i;
+    int i;
     scene s;
     memset(&s, 0, sizeof s);
-    assert_ok(sfem_mesh_block(cells, size, SFEM_CELL_5_TETS, NULL, &s.mesh, &err), err);
-    for (i = 0; i < s.mesh.nodes; ++i)
-        if (s.mesh.x[3 * i] < 1e-9) s.pins[s.pin_count++] = i;
-    for (i = 0; i < 3 * s.mesh.nodes; ++i) s.mesh.x[i] += random_uniform(&random, -0.01, 0.01);
+    assert_ok(block_mesh(cells, size, 0.01, &random, &s.mesh, &err), err);
+    s.pin_count = block_clamp(cells, s.pins);
     for (i = 0; i < 3; ++i) s.centre[i] = size[i] / 2;
     s.n = s.mesh.nodes;
     assert_true(s.n <= MAX_NODES);

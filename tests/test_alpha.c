@@ -2,6 +2,7 @@
  * explicit methods on one factor: springs and dampers that change, corrections, a swinging bar. */
 #include "oscillator.h"
 #include "linear.h"
+#include "blocks.h"
 
 /* --------------------------------------------------------------------------------------------
  * scenes
@@ -442,15 +443,12 @@ static bar make_bar(sfem_int nx, double young, sfem_law law)
     const sfem_int cells[3] = {nx, 2, 2};
     const sfem_real size[3] = {0.1 * nx, 0.2, 0.2};
     sfem_model_def def = linear_model_def();
-    test_random random = {11};
+    uint64_t random = 11;
     sfem_error err;
-    sfem_int i;
     bar b;
     memset(&b, 0, sizeof b);
-    assert_ok(sfem_mesh_block(cells, size, SFEM_CELL_5_TETS, NULL, &b.mesh, &err), err);
-    for (i = 0; i < b.mesh.nodes; ++i)
-        if (b.mesh.x[3 * i] < 1e-9) b.pins[b.pin_count++] = i;
-    for (i = 0; i < 3 * b.mesh.nodes; ++i) b.mesh.x[i] += random_uniform(&random, -0.01, 0.01);
+    assert_ok(block_mesh(cells, size, 0.01, &random, &b.mesh, &err), err);
+    b.pin_count = block_clamp(cells, b.pins);
     b.n = b.mesh.nodes;
     assert_true(b.n <= MAX_NODES);
     def.mesh = &b.mesh;

@@ -1,6 +1,7 @@
 /* Integrators, loads, state and threads of linear bodies. Handles have tests of their own. */
 #include "oscillator.h"
 #include "linear.h"
+#include "blocks.h"
 
 /* --------------------------------------------------------------------------------------------
  * scenes
@@ -18,15 +19,13 @@ static block make_block(sfem_int nx, sfem_int ny, sfem_int nz, sfem_mass mass, d
     const sfem_int cells[3] = {nx, ny, nz};
     const sfem_real size[3] = {0.1 * nx, 0.1 * ny, 0.1 * nz};
     sfem_model_def def = linear_model_def();
-    test_random random = {7};
+    uint64_t random = 7;
     sfem_mesh mesh;
     sfem_error err;
-    sfem_int i;
     block b;
     memset(&b, 0, sizeof b);
-    assert_ok(sfem_mesh_block(cells, size, SFEM_CELL_5_TETS, NULL, &mesh, &err), err);
-    for (i = 0; i < 3 * mesh.nodes; ++i) mesh.x[i] += random_uniform(&random, -0.01, 0.01);
-    for (i = 0; i < (ny + 1) * (nz + 1); ++i) b.pins[b.pin_count++] = i;
+    assert_ok(block_mesh(cells, size, 0.01, &random, &mesh, &err), err);
+    b.pin_count = block_clamp(cells, b.pins);
     def.mesh = &mesh;
     def.mass = mass;
     def.material.young = 1e5;

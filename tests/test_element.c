@@ -5,6 +5,7 @@
 #define SOFTFEM_IMPLEMENTATION
 #include "support.h"
 #include "linear.h"
+#include "blocks.h"
 
 #define LAWS 4
 static const sfem_law laws[LAWS] = {SFEM_LINEAR, SFEM_COROTATIONAL, SFEM_STVK, SFEM_NEOHOOKEAN};
@@ -786,8 +787,7 @@ static body make_body_of(sfem_int nx, sfem_int ny, sfem_int nz, int law, int sta
     body b;
     double q[9];
     sfem_int i, k;
-    assert_ok(sfem_mesh_block(cells, size, SFEM_CELL_5_TETS, NULL, &mesh, &err), err);
-    for (i = 0; i < 3 * mesh.nodes; ++i) mesh.x[i] += random_uniform(&r, -0.01, 0.01);
+    assert_ok(block_mesh(cells, size, 0.01, &r.state, &mesh, &err), err);
     b.tet_material = (sfem_int *)calloc((size_t)mesh.tets, sizeof *b.tet_material);
     for (i = 0; i < mesh.tets; ++i) b.tet_material[i] = law < LAWS ? law : random_below(&r, LAWS);
     for (i = 0; i < LAWS; ++i) {

@@ -1,5 +1,6 @@
 /* Forces that act during one step alone: they change the momentum by f h, in every method, whatever becomes of the step. */
 #include "support.h"
+#include "blocks.h"
 #include "linear.h"
 
 enum { MAX_NODES = 128 };
@@ -14,13 +15,11 @@ static bar make_bar(sfem_law law, sfem_mass mass, double damping)
     static const sfem_int cells[3] = {5, 1, 1};
     static const sfem_real size[3] = {1, 0.2, 0.2};
     sfem_model_def def = sfem_default_model_def();
-    test_random random = {7};
+    uint64_t random = 7;
     sfem_error err;
-    sfem_int i;
     bar b;
-    assert_ok(sfem_mesh_block(cells, size, SFEM_CELL_5_TETS, NULL, &b.mesh, &err), err);
+    assert_ok(block_mesh(cells, size, 0.02, &random, &b.mesh, &err), err);
     assert_true(b.mesh.nodes <= MAX_NODES);
-    for (i = 0; i < 3 * b.mesh.nodes; ++i) b.mesh.x[i] += random_uniform(&random, -0.02, 0.02);
     def.mesh = &b.mesh;
     def.mass = mass;
     def.material.young = 1e5;

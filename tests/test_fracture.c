@@ -8,6 +8,7 @@
 #define SOFTFEM_IMPLEMENTATION
 #include "support.h"
 #include "linear.h"
+#include "blocks.h"
 
 /* --------------------------------------------------------------------------------------------
  * scenes
@@ -37,18 +38,15 @@ static scene bar(sfem_int nx, sfem_int ny, sfem_int nz, sfem_material material)
     sfem_int cells[3];
     sfem_real size[3];
     sfem_model_def def = linear_model_def();
-    test_random random = {11};
+    uint64_t random = 11;
     sfem_error err;
-    sfem_int i;
     int c;
     scene s;
     memset(&s, 0, sizeof s);
     cells[0] = nx, cells[1] = ny, cells[2] = nz;
     for (c = 0; c < 3; ++c) size[c] = 0.1 * cells[c];
-    assert_ok(sfem_mesh_block(cells, size, SFEM_CELL_5_TETS, NULL, &s.mesh, &err), err);
-    for (i = 0; i < s.mesh.nodes; ++i)
-        if (s.mesh.x[3 * i] < 1e-9) s.pins[s.pin_count++] = i;
-    for (i = 0; i < 3 * s.mesh.nodes; ++i) s.mesh.x[i] += random_uniform(&random, -0.01, 0.01);
+    assert_ok(block_mesh(cells, size, 0.01, &random, &s.mesh, &err), err);
+    s.pin_count = block_clamp(cells, s.pins);
     s.n = s.mesh.nodes;
     assert_true(s.n <= MAX_NODES);
     def.mesh = &s.mesh;

@@ -1,6 +1,7 @@
 /* Implicit integrators and Newton's iteration: linear and nonlinear bodies, damping forces, statics. */
 #include "oscillator.h"
 #include "linear.h"
+#include "blocks.h"
 
 /* --------------------------------------------------------------------------------------------
  * one degree of freedom
@@ -286,15 +287,13 @@ static block make_block(sfem_int nx, sfem_int ny, sfem_int nz, sfem_mass mass, d
     const sfem_int cells[3] = {nx, ny, nz};
     const sfem_real size[3] = {0.1 * nx, 0.1 * ny, 0.1 * nz};
     sfem_model_def def = linear_model_def();
-    test_random random = {7};
+    uint64_t random = 7;
     sfem_mesh mesh;
     sfem_error err;
-    sfem_int i;
     block b;
     memset(&b, 0, sizeof b);
-    assert_ok(sfem_mesh_block(cells, size, SFEM_CELL_5_TETS, NULL, &mesh, &err), err);
-    for (i = 0; i < 3 * mesh.nodes; ++i) mesh.x[i] += random_uniform(&random, -0.01, 0.01);
-    for (i = 0; i < (ny + 1) * (nz + 1); ++i) b.pins[b.pin_count++] = i;
+    assert_ok(block_mesh(cells, size, 0.01, &random, &mesh, &err), err);
+    b.pin_count = block_clamp(cells, b.pins);
     def.mesh = &mesh;
     def.mass = mass;
     def.material.young = 1e5;
@@ -421,14 +420,13 @@ static beam make_beam(sfem_law law, double young, double alpha, double beta, con
     const sfem_int cells[3] = {6, 1, 2};
     const sfem_real size[3] = {0.6, 0.1, 0.15};
     sfem_model_def def = linear_model_def();
-    test_random random = {11};
+    uint64_t random = 11;
     sfem_mesh mesh;
     sfem_error err;
     sfem_int i;
     int c;
     beam b;
-    assert_ok(sfem_mesh_block(cells, size, SFEM_CELL_5_TETS, NULL, &mesh, &err), err);
-    for (i = 0; i < 3 * mesh.nodes; ++i) mesh.x[i] += random_uniform(&random, -0.005, 0.005);
+    assert_ok(block_mesh(cells, size, 0.005, &random, &mesh, &err), err);
     for (i = 0; r && i < mesh.nodes; ++i) {
         const double x[3] = {mesh.x[3 * i], mesh.x[3 * i + 1], mesh.x[3 * i + 2]};
         for (c = 0; c < 3; ++c)

@@ -1,5 +1,6 @@
 /* Bodies that are placed: the rest shape rotated and moved; and normals for rendering. */
 #include "support.h"
+#include "blocks.h"
 #include "linear.h"
 
 enum { MAX_NODES = 256 };
@@ -16,17 +17,15 @@ static bar make_bar(sfem_law law, const double *r, const double *t)
     static const sfem_int cells[3] = {6, 2, 2};
     static const sfem_real size[3] = {0.6, 0.2, 0.2};
     sfem_model_def def = sfem_default_model_def();
-    test_random random = {11};
+    uint64_t random = 11;
     sfem_error err;
     sfem_int i;
     int c;
     bar b;
     memset(&b, 0, sizeof b);
-    assert_ok(sfem_mesh_block(cells, size, SFEM_CELL_5_TETS, NULL, &b.mesh, &err), err);
+    assert_ok(block_mesh(cells, size, 0.01, &random, &b.mesh, &err), err);
     assert_true(b.mesh.nodes <= MAX_NODES);
-    for (i = 0; i < b.mesh.nodes; ++i)
-        if (b.mesh.x[3 * i] < 1e-9) b.pins[b.pin_count++] = i;
-    for (i = 0; i < 3 * b.mesh.nodes; ++i) b.mesh.x[i] += random_uniform(&random, -0.01, 0.01);
+    b.pin_count = block_clamp(cells, b.pins);
     for (i = 0; r && i < b.mesh.nodes; ++i) {
         double x[3];
         memcpy(x, b.mesh.x + 3 * i, sizeof x);

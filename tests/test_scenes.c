@@ -26,7 +26,20 @@ static sc_world *opened(const char *name, const char *slider, double value)
     return w;
 }
 
-static void every_scene_runs_and_repeats(void **state)
+/* What the bodies have over what was put in: their energy budgets, in which that of contacts is not, over their scale. */
+static double energy_made(sc_world *w)
+{
+    double error = w->contact ? -sfem_contact_get_info(w->contact).work : 0, scale = 0;
+    int i;
+    for (i = 0; i < w->items; ++i) {
+        const sfem_fracture f = sfem_body_fracture(w->item[i].body);
+        error += f.error;
+        scale += f.scale;
+    }
+    return scale > 0 ? error / scale : 0;
+}
+
+static void every_scene_survives_and_repeats(void **state)
 {
     const int steps = TEST_SANITIZED ? 10 : 60;
     sfem_error err;
@@ -36,7 +49,11 @@ static void every_scene_runs_and_repeats(void **state)
         uint64_t hash[2];
         for (repeat = 0; repeat < 2; ++repeat) {
             sc_world *w = opened(sc_scenes[k]->name, NULL, 0);
-            assert_ok(sc_run(w, steps, &err), err);
+            for (i = 0; i < steps; ++i) {
+                assert_ok(sc_step(w, &err), err);
+                if (w->item[0].body && energy_made(w) > 0.01)
+                    fail_msg("%s made %g of its energy by step %d", w->scene->name, energy_made(w), i);
+            }
             assert_true(w->steps == steps && w->items > 0);
             for (c = 0; c < 3; ++c) assert_true(w->box[0][c] < w->box[1][c]);
             for (i = 0; i < w->items; ++i) {
@@ -48,6 +65,15 @@ static void every_scene_runs_and_repeats(void **state)
         }
         assert_true(hash[0] == hash[1]);
     }
+}
+
+static double lowest(sc_world *w)
+{
+    double low = 1e9;
+    sfem_int i;
+    sc_positions(w, 0, w->x);
+    for (i = 0; i < w->mesh.nodes; ++i) low = fmin(low, w->x[3 * i + 2]);
+    return low;
 }
 
 static void scenes_do_what_they_are_for(void **state)
@@ -98,10 +124,19 @@ static void scenes_do_what_they_are_for(void **state)
 
     w = opened("drop", NULL, 0); /* it falls, and lies on the floor */
     assert_ok(sc_run(w, 150, &err), err);
-    sc_positions(w, 0, w->x);
-    for (low = 1, i = 0; i < w->mesh.nodes; ++i) low = fmin(low, w->x[3 * i + 2]);
-    assert_near(low, 0, 0, 0.005);
+    assert_near(lowest(w), 0, 0, 0.005);
     assert_true(sc_measure_all(w).contacts > 0);
+    sc_close(w);
+
+    w = opened("gripper", NULL, 0); /* the fruit goes up with the fingers, and falls down when they become slippery */
+    assert_ok(sc_run(w, 280, &err), err);
+    assert_true(w->phase == 1 && sc_grip_felt(w) > sc_weight(w));
+    assert_near(lowest(w), SC_RISE, 0, 0.01);
+    high = w->time;
+    assert_ok(sc_set(&w, sc_slider_of(w->scene, "friction"), 0.05, &err), err);
+    assert_true(w->time == high && w->obstacles == 3);
+    assert_ok(sc_run(w, 60, &err), err);
+    assert_near(lowest(w), 0, 0, 0.005);
     sc_close(w);
 
     w = opened("modes", "amplitude", 0.1); /* each in its own mode: nothing else moves, and the energy stays */
@@ -186,6 +221,78 @@ static void the_hand_takes_what_the_ray_meets(void **state)
         sc_release(w);
         assert_true(!sc_hand(w, at, force));
         assert_ok(sc_run(w, 5, &err), err);
+        sc_close(w);
+    }
+}
+
+/* A ball that is put before a jelly goes into it, feels it, and goes out of it again; no node is inside of it but by a little. */
+static void a_ball_pokes(void **state)
+{
+    const double eye[3] = {0.27, -3, 0.1}, along[3] = {0, 1, 0}, beside[3] = {0, 0, 1};
+    sc_world *w = opened("jelly", NULL, 0);
+    double distance, x[3], force[3], to[3], radius, before;
+    sfem_error err;
+    sfem_int i;
+    (void)state;
+    assert_ok(sc_run(w, 20, &err), err);
+    before = sc_measure_all(w).contacts;
+    assert_ok(sc_poke(w, eye, along, &distance, &err), err);
+    assert_true(w->poking && w->obstacles == 2 && distance > 2 && distance < 3);
+    radius = w->obstacle[1].def.size[0];
+    assert_ok(sc_run(w, 60, &err), err);
+    assert_true(sc_hand(w, x, force));
+    assert_near(x[1], eye[1] + distance, 0, 1e-3); /* there it is, */
+    assert_true(force[1] > 0.1 && force[1] > 0.5 * hypot(hypot(force[0], force[1]), force[2])); /* pushes away from the eye, */
+    assert_true(sc_measure_all(w).contacts > before);
+    sc_positions(w, 1, w->x); /* and the jelly makes room */
+    for (i = 0; i < w->mesh.nodes; ++i)
+        assert_true(hypot(hypot(w->x[3 * i] - x[0], w->x[3 * i + 1] - x[1]), w->x[3 * i + 2] - x[2]) > 0.95 * radius);
+    memcpy(to, x, sizeof to);
+    to[1] -= 1;
+    assert_ok(sc_move_hand(w, to, &err), err);
+    assert_ok(sc_run(w, 60, &err), err);
+    assert_true(sc_hand(w, x, force) && x[1] < to[1] + 0.3 && force[1] == 0);
+    to[0] = NAN;
+    assert_status(sc_move_hand(w, to, &err), SFEM_NOT_FINITE);
+    sc_release(w);
+    assert_true(!sc_hand(w, x, force) && w->obstacles == 1);
+    assert_ok(sc_poke(w, eye, beside, &distance, &err), err); /* nothing is there: beside */
+    assert_ok(sc_run(w, 2, &err), err);
+    sc_close(w);
+    w = opened("modes", NULL, 0);
+    assert_status(sc_poke(w, eye, along, &distance, &err), SFEM_BAD_ARGUMENT);
+    assert_true(!w->poking);
+    sc_close(w);
+}
+
+/* Also where nothing is touched otherwise, and while sliders are moved. */
+static void the_ball_is_in_every_scene(void **state)
+{
+    const double away[3] = {0, 1, 0};
+    int k, c;
+    (void)state;
+    for (k = 0; k < SC_SCENES; ++k) {
+        sc_world *w = opened(sc_scenes[k]->name, NULL, 0);
+        double eye[3], distance, x[3], force[3];
+        const int friction = sc_slider_of(w->scene, "friction"), obstacles = w->obstacles;
+        sfem_error err;
+        for (c = 0; c < 3; ++c) eye[c] = 0.5 * (w->box[0][c] + w->box[1][c]) - 3 * away[c];
+        if (w->item[0].body) {
+            assert_ok(sc_poke(w, eye, away, &distance, &err), err);
+            assert_true(w->obstacles == obstacles + 1 && distance > 2 && distance < 4);
+            assert_ok(sc_run(w, 5, &err), err);
+            assert_true(energy_made(w) < 0.01);
+            if (friction >= 0) assert_ok(sc_set(&w, friction, 0.1, &err), err);
+            assert_true(w->obstacles == obstacles + 1 && sc_hand(w, x, force) && isfinite(force[0] + force[1] + force[2]));
+            if (friction >= 0) assert_near(w->obstacle[obstacles].def.contact.friction, 0.1, 0, 0);
+            assert_ok(sc_run(w, 5, &err), err);
+            sc_release(w);
+            assert_true(w->obstacles == obstacles && !sc_hand(w, x, force));
+            assert_ok(sc_poke(w, eye, away, &distance, &err), err);
+            assert_ok(sc_set(&w, sc_slider_of(w->scene, "E"), 2 * w->value[sc_slider_of(w->scene, "E")], &err), err);
+            assert_true(w->obstacles == obstacles && !w->poking); /* new bodies, and no ball */
+            assert_ok(sc_run(w, 5, &err), err);
+        }
         sc_close(w);
     }
 }
@@ -307,10 +414,12 @@ static void portable_functions_are_those_of_libm(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(every_scene_runs_and_repeats),
+        cmocka_unit_test(every_scene_survives_and_repeats),
         cmocka_unit_test(scenes_do_what_they_are_for),
         cmocka_unit_test(a_blade_leaves_nothing_hanging),
         cmocka_unit_test(the_hand_takes_what_the_ray_meets),
+        cmocka_unit_test(a_ball_pokes),
+        cmocka_unit_test(the_ball_is_in_every_scene),
         cmocka_unit_test(bad_values_leave_the_scene_as_it_was),
         cmocka_unit_test(a_softer_body_goes_on_where_it_was),
         cmocka_unit_test(files_become_a_metre_large),

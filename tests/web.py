@@ -18,8 +18,8 @@ import urllib.error
 import urllib.request
 
 # 300 steps of each, natively and in the browser; with SIMD, and without
-HASHED = ['grab', 'cut:blade=0.5', 'jelly', 'twist', 'drop', 'modes', 'mesh']
-HASHED_PLAIN = ['cut:blade=0.5']
+HASHED = ['grab', 'cut:blade=0.5', 'jelly', 'twist', 'drop', 'gripper:tets=800', 'shatter:tets=600', 'tear:tets=800', 'modes', 'mesh']
+HASHED_PLAIN = ['cut:blade=0.5', 'shatter:tets=600']
 
 
 class Browser:
@@ -162,7 +162,7 @@ def a_drag_moves_the_body(b, page, pictures):
     b.run('softfem.run.paused = false')
     x, y = b.run('return softfem.onScreen([0, 0, 0.75])')
     b.drag([(x, y), (x + 60, y - 20), (x + 150, y - 50)], hold=True)
-    b.wait('return softfem.info().time > 0.3')
+    b.wait('return softfem.info().time > 0.03')
     b.run('softfem.steps(20)')
     hand = b.run('return softfem.hand()')
     need(hand[0] == 1, 'the hand holds nothing')
@@ -173,6 +173,24 @@ def a_drag_moves_the_body(b, page, pictures):
     b.picture(os.path.join(pictures, 'grab.png'))
     b.release()
     b.wait('return softfem.hand()[0] === 0')
+
+
+def a_ball_pokes(b, page, pictures):
+    b.open(page + '#scene=grab')
+    b.keys('p')
+    x, y = b.run('return softfem.onScreen([0, 0, 0.4])')
+    b.drag([(x, y), (x + 5, y)], hold=True)
+    hand = b.wait('const h = softfem.hand(); return softfem.info().contacts > 0 && Math.hypot(h[4], h[5], h[6]) > 1 && h')
+    back = b.run('return softfem.shape().forward')
+    need(sum(f * d for f, d in zip(hand[4:7], back)) > 0, 'the ball does not push away from the eye but along', hand[4:7])
+    b.picture(os.path.join(pictures, 'poke.png'))
+    b.release()
+    b.wait('return softfem.hand()[0] === 0')
+    b.open(page + '#scene=modes')
+    b.keys('p')
+    x, y = middle(b)
+    b.drag([(x, y), (x + 5, y)])
+    need('modal bodies touch nothing' in b.message(), 'it says:', b.message())
 
 
 def a_swipe_cuts_in_two(b, page, pictures):
@@ -195,11 +213,31 @@ def a_dropped_surface_simulates(b, page, pictures):
     drop(b, 'cube.obj', cube())
     b.wait('return softfem.scene === "mesh" && softfem.info().tets > 1000')
     b.run('softfem.run.paused = false')
-    b.wait('return softfem.info().time > 0.3 && softfem.info().elastic > 0')
+    b.wait('return softfem.info().time > 0.03 && softfem.info().elastic > 0')
     need('cube.obj' in b.run('return document.getElementById("message").textContent'), 'it says:', b.message())
     first = b.run('const i = softfem.info(); return [i.x1 - i.x0, i.z1]')
     need(abs(first[0] - 1) < 1e-9 and abs(first[1] - 1) < 0.01, 'it is not 1 m large but', first)
     b.picture(os.path.join(pictures, 'dropped.png'))
+
+
+def other_files_simulate(b, page, pictures):
+    """A surface of triangles and a mesh of tets, each a cube."""
+    corner = [(k & 1, k >> 1 & 1, k >> 2) for k in range(8)]
+    side = ((0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5))
+    stl = 'solid cube\n' + ''.join(
+        'facet normal 0 0 0\nouter loop\n%sendloop\nendfacet\n' % ''.join('vertex %d %d %d\n' % corner[q[k]] for k in half)
+        for q in side for half in ((0, 1, 2), (0, 2, 3))) + 'endsolid cube\n'
+    tet = ((0, 1, 2, 4), (3, 2, 1, 7), (5, 1, 4, 7), (6, 4, 2, 7), (1, 2, 4, 7))
+    mesh = 'MeshVersionFormatted 1\nDimension 3\nVertices 8\n' + ''.join('%d %d %d 0\n' % c for c in corner)
+    mesh += 'Tetrahedra 5\n' + ''.join('%d %d %d %d 0\n' % tuple(v + 1 for v in t) for t in tet) + 'End\n'
+    for name, text, least, most in (('cube.stl', stl, 1000, 5000), ('cube.mesh', mesh, 5, 5)):
+        b.open(page)
+        drop(b, name, text)
+        b.wait('return softfem.scene === "mesh" && document.getElementById("message").textContent.includes(arguments[0])', 30, name)
+        tets = b.run('return softfem.info().tets')
+        need(least <= tets <= most, 'tets of %s:' % name, tets)
+        b.run('softfem.steps(10)')
+        need(b.run('return softfem.info().elastic') > 0, 'it does not bend:', name)
 
 
 def broken_files_get_a_message(b, page, pictures):
@@ -321,7 +359,7 @@ def it_looks_well(b, page, pictures):
     b.size(760, 560)
 
 
-TESTS = [a_drag_moves_the_body, a_swipe_cuts_in_two, a_dropped_surface_simulates, broken_files_get_a_message,
+TESTS = [a_drag_moves_the_body, a_ball_pokes, a_swipe_cuts_in_two, a_dropped_surface_simulates, other_files_simulate, broken_files_get_a_message,
          bad_numbers_get_a_message, a_link_restores_the_scene, keys_and_buttons_work, fingers_grab_and_pinch, it_looks_well,
          hashes_are_those_of_the_native_program]
 

@@ -8,6 +8,7 @@
 #include "cut.h"
 #include "tear.h"
 #include "drop.h"
+#include "gripper.h"
 #include "jelly.h"
 #include "twist.h"
 #include "shatter.h"
@@ -17,7 +18,7 @@
 static const sc_scene *const sc_scenes[] = {
     &sc_scene_grab, &sc_scene_cut, &sc_scene_tear, &sc_scene_jelly, &sc_scene_twist, &sc_scene_shatter,
 #ifndef SFEM_NO_CONTACT
-    &sc_scene_drop,
+    &sc_scene_drop, &sc_scene_gripper,
 #endif
 #ifndef SFEM_NO_MODES
     &sc_scene_modes,

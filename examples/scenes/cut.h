@@ -19,7 +19,8 @@ SC_STATIC sfem_status sc_cut_create(sc_world *w, sfem_error *err)
     def = sc_body_def(w);
     def.damage = &damage;
     sc_look_at(w, 0, size[0], 0, size[1], -0.3, size[2]);
-    return sc_add_body(w, &def, NULL, 1, err);
+    SC_TRY(sc_add_body(w, &def, NULL, 1, err));
+    return sc_touch_floor(w, -0.4, err);
 }
 
 SC_STATIC sfem_status sc_cut_drive(sc_world *w, sfem_error *err)

@@ -15,16 +15,15 @@ SC_STATIC sfem_status sc_drop_create(sc_world *w, sfem_error *err)
     SC_TRY(sc_make_model(w, err));
     def = sc_body_def(w);
     def.damage = &damage;
-    w->floor = 0;
     sc_look_at(w, -0.8, 0.8, -0.4, 0.4, 0, 1);
     SC_TRY(sc_add_body(w, &def, NULL, 5, err));
     SC_TRY(sfem_body_place(w->item[0].body, tilt, at, err));
-    return sc_touch_floor(w, err);
+    return sc_touch_floor(w, 0, err);
 }
 
 static const sc_scene sc_scene_drop = {
-    "drop", "Drop", "It falls on the floor. Take hold of it and throw it.",
-    {SC_YOUNG(1e5), SC_POISSON(0.4), SC_DENSITY(1000), SC_DAMPING(0.5), SC_GRAVITY(9.81), {"friction", "", 0, 1.5, 0.5, 0, SC_KEEP},
+    "drop", "Drop", "It falls on the floor. Take hold of it and throw it, or poke it with the ball.",
+    {SC_YOUNG(1e5), SC_POISSON(0.4), SC_DENSITY(1000), SC_DAMPING(0.5), SC_GRAVITY(9.81), SC_FRICTION(0.5), SC_RESTITUTION(0),
      {"height", "m", 0.1, 3, 0.6, 0, SC_AGAIN}, {"tilt", "deg", -180, 180, 60, 0, SC_AGAIN}, SC_TETS(1500), SC_STEP(1000 / 120.0),
      SC_ACCURACY(1e-4)},
     sc_drop_create, NULL, &sc_shape_bear};

@@ -20,9 +20,8 @@ SC_STATIC sfem_status sc_jelly_create(sc_world *w, sfem_error *err)
         const double at[3] = {0.55 * (k % across - 0.5 * (across - 1)), 0.55 * (k / across - 0.5 * (deep - 1)), 0};
         SC_TRY(sc_add_body(w, &def, at, k, err));
     }
-    w->floor = 0;
     sc_look_at(w, -0.3 * across, 0.3 * across, -0.3 * deep, 0.3 * deep, 0, 0.25);
-    return SFEM_OK;
+    return sc_touch_floor(w, 0, err);
 }
 
 /* The plate is at amplitude sin(2 pi f t) along x; its swing begins within half a second. */

@@ -81,14 +81,14 @@ SC_STATIC sfem_status sc_mesh_create(sc_world *w, sfem_error *err)
     if (part < 0) sc_select(w, 2, (1 + part) * high, 2, w->pin, &w->pins);
     def = sc_body_def(w);
     def.damage = &damage;
-    w->floor = 0;
     sc_look_at(w, -0.5, 0.5, -0.5, 0.5, 0, high);
-    return sc_add_body(w, &def, NULL, 0, err);
+    SC_TRY(sc_add_body(w, &def, NULL, 0, err));
+    return sc_touch_floor(w, 0, err);
 }
 
 static const sc_scene sc_scene_mesh = {
     "mesh", "Your mesh", "Drop an .obj, .stl, .ply, .off, .msh, .mesh, .vtk file here.",
-    {SC_YOUNG(6e4), SC_POISSON(0.35), SC_DENSITY(1000), SC_DAMPING(1), SC_GRAVITY(9.81), SC_TETS(2500),
+    {SC_YOUNG(6e4), SC_POISSON(0.35), SC_DENSITY(1000), SC_DAMPING(1), SC_GRAVITY(9.81), SC_FRICTION(0.5), SC_RESTITUTION(0), SC_TETS(2500),
      {"held", "of the height", -0.3, 0.3, 0.04, 0, SC_AGAIN}, {"up", "axis", 0, 2, 1, 0, SC_AGAIN}, SC_STEP(1000 / 60.0),
      SC_ACCURACY(1e-6)},
     sc_mesh_create, NULL, NULL};

@@ -3,7 +3,8 @@
  *     sc_world *w = sc_open(sc_find("tear"), NULL, &err);     NULL: all sliders at their defaults
  *     while (...) sc_step(w, &err);                           the driver acts, then all bodies step
  *     sc_set(w, sc_slider_of(w->scene, "pull"), 0.3, &err);   a slider is moved
- *     sc_grab(w, eye, direction, &err), sc_move_hand(w, to, &err), sc_release(w);
+ *     sc_grab(w, eye, direction, &distance, &err), sc_move_hand(w, to, &err), sc_release(w);
+ *     sc_poke(w, eye, direction, &distance, &err);            the same with a ball
  *     sc_cut(w, from, to, &err);
  *     sc_close(w);
  *
@@ -28,7 +29,7 @@
         if (sc_status_ != SFEM_OK) return sc_status_;                                                                  \
     } while (0)
 
-enum { SC_SLIDERS = 16, SC_ITEMS = 16, SC_HANDLES = 64, SC_PATCH = 512 };
+enum { SC_SLIDERS = 16, SC_ITEMS = 16, SC_HANDLES = 64, SC_PATCH = 512, SC_OBSTACLES = 8 };
 #define SC_NO_FLOOR (-1e30)
 #define SC_PI 3.14159265358979323846
 
@@ -52,6 +53,8 @@ typedef struct sc_slider {
 #define SC_TOUGHNESS(value) {"toughness", "J/m^2", 1, 1e5, value, 1, SC_AGAIN}
 #define SC_TETS(value) {"tets", "", 500, 12000, value, 1, SC_AGAIN}
 #define SC_STEP(value) {"h", "ms", 0.25, 33.4, value, 1, SC_LIVE}
+#define SC_FRICTION(value) {"friction", "", 0, 1.5, value, 0, SC_LIVE}
+#define SC_RESTITUTION(value) {"restitution", "", 0, 1, value, 0, SC_LIVE}
 #define SC_ACCURACY(value) {"accuracy", "", 1e-8, 1, value, 1, SC_KEEP}
 
 typedef struct sc_world sc_world;
@@ -79,6 +82,13 @@ typedef struct sc_item {
     int color;    /* of a palette of the one who draws */
 } sc_item;
 
+#ifndef SFEM_NO_CONTACT
+typedef struct sc_obstacle {
+    sfem_obstacle_def def; /* its place is that where it was put */
+    sfem_int id;
+} sc_obstacle;
+#endif
+
 struct sc_world {
     const sc_scene *scene;
     double value[SC_SLIDERS];
@@ -93,9 +103,10 @@ struct sc_world {
 #endif
 #ifndef SFEM_NO_CONTACT
     sfem_contact *contact; /* or NULL: nothing is touched */
+    sc_obstacle obstacle[SC_OBSTACLES];
 #endif
     sc_item item[SC_ITEMS];
-    int items;
+    int items, obstacles;
     double box[2][3]; /* m, what is worth looking at */
     double floor;     /* z, or SC_NO_FLOOR */
     double speed;     /* of its own time over that of a clock: below 1 in slow motion */
@@ -112,6 +123,8 @@ struct sc_world {
     /* the hand */
     int holding; /* the item, or -1 */
     sfem_int hand;
+    int poking;        /* 1: the last obstacle is the ball, */
+    double ball_to[3]; /* m, and that is where it goes */
 };
 
 SC_STATIC sfem_status sc_fail(sfem_error *err, sfem_status status, const char *format, ...)
@@ -241,17 +254,90 @@ SC_STATIC sfem_status sc_add_body(sc_world *w, const sfem_body_def *def, const d
 }
 
 #ifndef SFEM_NO_CONTACT
-/* The bodies so far touch the floor. */
-SC_STATIC sfem_status sc_touch_floor(sc_world *w, sfem_error *err)
+SC_STATIC sfem_contact_surface sc_contact_surface(const sc_world *w)
 {
-    const double up[3] = {0, 0, 1}, at[3] = {0, 0, w->floor};
     sfem_contact_surface surface = sfem_default_contact_surface();
-    sfem_obstacle_def plane = sfem_obstacle_plane(up, at);
+    surface.friction = sc_value(w, "friction", surface.friction);
+    surface.restitution = sc_value(w, "restitution", surface.restitution);
+    return surface;
+}
+
+/* The bodies so far touch obstacles. Where they did before: those there are, with the present sliders. */
+SC_STATIC sfem_status sc_touch(sc_world *w, sfem_error *err)
+{
+    const sfem_contact_surface surface = sc_contact_surface(w);
     int k;
-    surface.friction = plane.contact.friction = sc_value(w, "friction", 0.5);
+    for (k = 0; w->contact && k < w->obstacles; ++k)
+        sfem_contact_obstacle_pose(w->contact, w->obstacle[k].id, w->obstacle[k].def.position, w->obstacle[k].def.rotation);
+    sfem_contact_free(w->contact);
+    w->contact = NULL;
     SC_TRY(sfem_contact_create(NULL, &w->contact, err));
-    for (k = 0; k < w->items; ++k) SC_TRY(sfem_contact_add_body(w->contact, w->item[k].body, &surface, ~0u, NULL, err));
-    return sfem_contact_add_obstacle(w->contact, &plane, NULL, err);
+    for (k = 0; k < w->items; ++k)
+        if (w->item[k].body) SC_TRY(sfem_contact_add_body(w->contact, w->item[k].body, &surface, ~0u, NULL, err));
+    for (k = 0; k < w->obstacles; ++k) {
+        w->obstacle[k].def.contact = surface;
+        SC_TRY(sfem_contact_add_obstacle(w->contact, &w->obstacle[k].def, &w->obstacle[k].id, err));
+    }
+    return SFEM_OK;
+}
+
+/* Its number is that of w->obstacles before. */
+SC_STATIC sfem_status sc_add_obstacle(sc_world *w, const sfem_obstacle_def *def, sfem_error *err)
+{
+    sc_obstacle *o = w->obstacle + w->obstacles;
+    if (w->obstacles == SC_OBSTACLES) return sc_fail(err, SFEM_FULL, "more than %d obstacles", SC_OBSTACLES);
+    if (!w->contact) SC_TRY(sc_touch(w, err));
+    o->def = *def;
+    o->def.contact = sc_contact_surface(w);
+    SC_TRY(sfem_contact_add_obstacle(w->contact, &o->def, &o->id, err));
+    ++w->obstacles;
+    return SFEM_OK;
+}
+
+/* The bodies so far touch a floor at this height. */
+SC_STATIC sfem_status sc_touch_floor(sc_world *w, double floor, sfem_error *err)
+{
+    const double up[3] = {0, 0, 1}, at[3] = {0, 0, floor};
+    const sfem_obstacle_def plane = sfem_obstacle_plane(up, at);
+    w->floor = floor;
+    return sc_add_obstacle(w, &plane, err);
+}
+
+/* What the bodies exerted on an obstacle in the last step, N. */
+SC_STATIC void sc_obstacle_force(const sc_world *w, int k, double force[3])
+{
+    double torque[3];
+    sfem_contact_obstacle_force(w->contact, w->obstacle[k].id, force, torque);
+}
+
+/* In the next step, and all further ones. */
+SC_STATIC sfem_status sc_move_obstacle(sc_world *w, int k, const double velocity[3], sfem_error *err)
+{
+    double at[3], axes[9];
+    sfem_contact_obstacle_pose(w->contact, w->obstacle[k].id, at, axes);
+    return sfem_contact_move_obstacle(w->contact, w->obstacle[k].id, at, NULL, velocity, NULL, err);
+}
+
+/* The ball goes to where it should be, by half of the way in a step and by no more than half of its radius, so that it
+ * passes nothing; in short steps as fast as in those of 1/60 s. */
+SC_STATIC sfem_status sc_move_ball(sc_world *w, double h, sfem_error *err)
+{
+    const sc_obstacle *ball = w->obstacle + w->obstacles - 1;
+    double at[3], axes[9], v[3], rate = fmin(0.5 / h, 30), far;
+    int c;
+    sfem_contact_obstacle_pose(w->contact, ball->id, at, axes);
+    for (c = 0; c < 3; ++c) v[c] = w->ball_to[c] - at[c];
+    far = sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2]);
+    if (far > ball->def.size[0]) rate *= ball->def.size[0] / far;
+    for (c = 0; c < 3; ++c) v[c] *= rate;
+    return sfem_contact_move_obstacle(w->contact, ball->id, at, NULL, v, NULL, err);
+}
+#else
+SC_STATIC sfem_status sc_touch_floor(sc_world *w, double floor, sfem_error *err)
+{
+    (void)err;
+    w->floor = floor;
+    return SFEM_OK;
 }
 #endif
 
@@ -356,6 +442,7 @@ SC_STATIC sfem_status sc_step(sc_world *w, sfem_error *err)
         if (w->item[k].body) SC_TRY(sfem_body_step(w->item[k].body, h, err));
     }
 #ifndef SFEM_NO_CONTACT
+    if (w->poking) SC_TRY(sc_move_ball(w, h, err));
     if (w->contact) SC_TRY(sfem_contact_step(w->contact, h, err));
 #endif
     w->time += h;
@@ -370,11 +457,15 @@ SC_STATIC sfem_status sc_run(sc_world *w, int steps, sfem_error *err)
 }
 
 /* --------------------------------------------------------------------------------------------
- * the hand, the blade
+ * the hand, the ball, the blade
  * -------------------------------------------------------------------------------------------- */
 
 SC_STATIC void sc_release(sc_world *w)
 {
+#ifndef SFEM_NO_CONTACT
+    if (w->poking) sfem_contact_remove_obstacle(w->contact, w->obstacle[--w->obstacles].id);
+    w->poking = 0;
+#endif
     if (w->holding < 0) return;
 #ifndef SFEM_NO_REDUCED
     if (w->item[w->holding].modal) sfem_modal_release_handle(w->item[w->holding].modal, w->hand);
@@ -440,21 +531,32 @@ SC_STATIC sfem_status sc_patch(sc_world *w, int item, const sfem_int *tet, const
     return SFEM_OK;
 }
 
-/* Takes hold of what a ray meets first. *distance: how far away, m, or < 0: nothing is there. */
-SC_STATIC sfem_status sc_grab(sc_world *w, const double origin[3], const double direction[3], double *distance,
-                              sfem_error *err)
+/* The item that a ray meets first, or -1: where in it, and how far away, m, else < 0. */
+SC_STATIC int sc_pick_first(sc_world *w, const double origin[3], const double direction[3], sfem_int tet[4], double bary[4],
+                            double *distance)
 {
-    sfem_int node[SC_PATCH], count, tet[4] = {0, 0, 0, 0}, t[4];
-    double weight[SC_PATCH], bary[4] = {0, 0, 0, 0}, b[4], d;
+    sfem_int t[4];
+    double b[4], d;
     int k, item = -1;
-    sc_release(w);
     *distance = -1;
     for (k = 0; k < w->items; ++k) {
         if (!sc_pick(w, k, origin, direction, t, b, &d) || (item >= 0 && d >= *distance)) continue;
         item = k, *distance = d;
-        memcpy(tet, t, sizeof tet);
-        memcpy(bary, b, sizeof bary);
+        memcpy(tet, t, sizeof t);
+        memcpy(bary, b, sizeof b);
     }
+    return item;
+}
+
+/* Takes hold of what a ray meets first. *distance: how far away, m, or < 0: nothing is there. */
+SC_STATIC sfem_status sc_grab(sc_world *w, const double origin[3], const double direction[3], double *distance,
+                              sfem_error *err)
+{
+    sfem_int node[SC_PATCH], count, tet[4] = {0, 0, 0, 0};
+    double weight[SC_PATCH], bary[4] = {0, 0, 0, 0};
+    int item;
+    sc_release(w);
+    item = sc_pick_first(w, origin, direction, tet, bary, distance);
     if (item < 0) return SFEM_OK;
     sc_positions(w, item, w->x);
     SC_TRY(sc_patch(w, item, tet, bary, node, weight, &count, err));
@@ -467,8 +569,58 @@ SC_STATIC sfem_status sc_grab(sc_world *w, const double origin[3], const double 
     return SFEM_OK;
 }
 
+#ifndef SFEM_NO_CONTACT
+/* Is no node so near to x? */
+SC_STATIC int sc_is_free(sc_world *w, const double x[3], double radius)
+{
+    sfem_int i;
+    int k;
+    for (k = 0; k < w->items; ++k) {
+        sc_positions(w, k, w->x);
+        for (i = 0; i < w->mesh.nodes; ++i) {
+            const double *y = w->x + 3 * (size_t)i;
+            if (hypot(hypot(x[0] - y[0], x[1] - y[1]), x[2] - y[2]) < radius) return 0;
+        }
+    }
+    return 1;
+}
+
+/* A ball goes along a ray until its centre is where the ray meets a body first, or else where it passes the middle of the
+ * scene. It begins as near to that as it can without a node inside. *distance: how far away that is, m. */
+SC_STATIC sfem_status sc_poke(sc_world *w, const double origin[3], const double direction[3], double *distance, sfem_error *err)
+{
+    sfem_obstacle_def ball = sfem_default_obstacle_def();
+    sfem_int tet[4];
+    double bary[4], back, length = 0;
+    int c, met, tries;
+    sc_release(w);
+    for (c = 0; c < w->items; ++c)
+        if (!w->item[c].body) return sc_fail(err, SFEM_BAD_ARGUMENT, "modal bodies touch nothing: choose another scene to poke at");
+    for (c = 0; c < 3; ++c) length += direction[c] * direction[c];
+    met = sc_pick_first(w, origin, direction, tet, bary, distance) >= 0;
+    for (*distance = met ? *distance : 0, c = 0; c < 3 && !met; ++c)
+        *distance += direction[c] * (0.5 * (w->box[0][c] + w->box[1][c]) - origin[c]) / length;
+    ball.kind = SFEM_OBSTACLE_SPHERE;
+    ball.size[0] = 0.06 * hypot(w->box[1][0] - w->box[0][0], w->box[1][2] - w->box[0][2]);
+    for (back = 0, tries = 0; tries < 100; ++tries, back += 0.5 * ball.size[0] / sqrt(length)) {
+        for (c = 0; c < 3; ++c) ball.position[c] = origin[c] + (*distance - back) * direction[c];
+        if (sc_is_free(w, ball.position, 1.05 * ball.size[0])) break;
+    }
+    for (c = 0; c < 3; ++c) w->ball_to[c] = origin[c] + *distance * direction[c];
+    SC_TRY(sc_add_obstacle(w, &ball, err));
+    w->poking = 1;
+    return SFEM_OK;
+}
+#endif
+
+/* Where the hand, or the ball, goes. */
 SC_STATIC sfem_status sc_move_hand(sc_world *w, const double to[3], sfem_error *err)
 {
+#ifndef SFEM_NO_CONTACT
+    if (w->poking && !(fabs(to[0]) + fabs(to[1]) + fabs(to[2]) < 1e9))
+        return sc_fail(err, SFEM_NOT_FINITE, "the ball cannot go to (%g, %g, %g)", to[0], to[1], to[2]);
+    if (w->poking) memcpy(w->ball_to, to, sizeof w->ball_to);
+#endif
     if (w->holding < 0) return SFEM_OK;
 #ifndef SFEM_NO_REDUCED
     if (w->item[w->holding].modal) return sfem_modal_move_handle(w->item[w->holding].modal, w->hand, to, err);
@@ -476,9 +628,19 @@ SC_STATIC sfem_status sc_move_hand(sc_world *w, const double to[3], sfem_error *
     return sfem_body_move_handle(w->item[w->holding].body, w->hand, to, err);
 }
 
-/* Where the hand holds the body, m, and the pull of the hand on it, N. 0 if it holds nothing. */
+/* Where the hand holds the body, m, or the ball is, and the pull or push of it on the body, N. 0 if there is none. */
 SC_STATIC int sc_hand(const sc_world *w, double x[3], double force[3])
 {
+#ifndef SFEM_NO_CONTACT
+    if (w->poking) {
+        double axes[9];
+        int c;
+        sc_obstacle_force(w, w->obstacles - 1, force);
+        for (c = 0; c < 3; ++c) force[c] = -force[c];
+        sfem_contact_obstacle_pose(w->contact, w->obstacle[w->obstacles - 1].id, x, axes);
+        return 1;
+    }
+#endif
     if (w->holding < 0) return 0;
 #ifndef SFEM_NO_REDUCED
     if (w->item[w->holding].modal) {
@@ -524,7 +686,7 @@ SC_STATIC sfem_status sc_go_on(sc_world *to, const sc_world *from, sfem_error *e
     double *v;
     sfem_status status = SFEM_OK;
     int k;
-    if (from->items != to->items || from->mesh.nodes != to->mesh.nodes || from->phase || from->handles) return SFEM_OK;
+    if (from->items != to->items || from->obstacles - from->poking != to->obstacles || from->mesh.nodes != to->mesh.nodes || from->phase || from->handles) return SFEM_OK;
     for (k = 0; k < from->items; ++k)
         if (!from->item[k].body || sfem_body_fracture(from->item[k].body).broken) return SFEM_OK;
     v = (double *)calloc(n, sizeof *v);
@@ -538,6 +700,13 @@ SC_STATIC sfem_status sc_go_on(sc_world *to, const sc_world *from, sfem_error *e
         if (status == SFEM_OK) status = sfem_body_set_pins(to->item[k].body, from->pins, from->pin, NULL, err);
     }
     free(v);
+#ifndef SFEM_NO_CONTACT
+    for (k = 0; k < to->obstacles && status == SFEM_OK; ++k) {
+        double at[3], axes[9];
+        sfem_contact_obstacle_pose(from->contact, from->obstacle[k].id, at, axes);
+        status = sfem_contact_move_obstacle(to->contact, to->obstacle[k].id, at, axes, NULL, NULL, err);
+    }
+#endif
     to->time = from->time;
     to->steps = from->steps;
     to->way = from->way;
@@ -552,11 +721,16 @@ SC_STATIC sfem_status sc_set(sc_world **at, int k, double value, sfem_error *err
     int i;
     SC_TRY(sc_check(w->scene, k, value, err));
     if (w->scene->slider[k].change == SC_LIVE) {
+        const int of_contact = !strcmp(w->scene->slider[k].name, "friction") || !strcmp(w->scene->slider[k].name, "restitution");
         w->value[k] = value;
         for (i = 0; i < w->items; ++i) {
             const double g[3] = {0, 0, -sc_value(w, "gravity", 0)};
             if (w->item[i].body) SC_TRY(sfem_body_set_gravity(w->item[i].body, g, err));
         }
+#ifndef SFEM_NO_CONTACT
+        if (of_contact && w->contact) return sc_touch(w, err);
+#endif
+        (void)of_contact;
         return SFEM_OK;
     }
     memcpy(values, w->value, sizeof values);

@@ -1,4 +1,4 @@
-/* shapes.h - what scenes are made of: signed distances of a toy bear and of a jelly. Include after scene.h. */
+/* shapes.h - what scenes are made of: signed distances of a toy bear, a jelly and a fruit. Include after scene.h. */
 #ifndef SFEM_EXAMPLES_SHAPES_H
 #define SFEM_EXAMPLES_SHAPES_H
 
@@ -70,8 +70,18 @@ SC_STATIC sfem_real sc_jelly(const sfem_real x[3], void *user)
     return fmax(fmax(-sc_blend(-side, -top, 0.03), hole), 0.002 - z);
 }
 
+/* A fruit of 8 cm: a ball with lobes and a dent at the top, on z = 0. */
+SC_STATIC sfem_real sc_fruit(const sfem_real x[3], void *user)
+{
+    const double z = x[2] - 0.04, across = sqrt(x[0] * x[0] + x[1] * x[1]), r = sqrt(across * across + z * z);
+    const double flat = r > 0 ? across / r : 0, dent = 0.012 * exp(-across * across / 2e-4) * (z > 0);
+    (void)user;
+    return r - 0.04 * (1 + 0.04 * flat * cos(5 * atan2(x[1], x[0]))) + dent;
+}
+
 static const sc_shape sc_shape_bear = {sc_bear, {{-0.6, -0.35, 0}, {0.6, 0.3, 1.1}}};
 static const sc_shape sc_shape_jelly = {sc_jelly, {{-0.3, -0.3, 0}, {0.3, 0.3, 0.3}}};
+static const sc_shape sc_shape_fruit = {sc_fruit, {{-0.05, -0.05, -0.01}, {0.05, 0.05, 0.09}}};
 
 SC_STATIC sfem_status sc_mesh_of(sc_world *w, sfem_error *err)
 {

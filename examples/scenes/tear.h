@@ -29,12 +29,11 @@ SC_STATIC sfem_status sc_tear_create(sc_world *w, sfem_error *err)
     damage.unbreakable = whole;
     def = sc_body_def(w);
     def.damage = &damage;
-    w->floor = 0;
     sc_look_at(w, -0.6, 0.6, -0.25, 0.25, 0, 1);
     w->speed = 0.5;
     status = sc_add_body(w, &def, NULL, 2, err);
     free(whole);
-    return status;
+    return status == SFEM_OK ? sc_touch_floor(w, 0, err) : status;
 }
 
 /* The hands go apart and up until something has come off. */

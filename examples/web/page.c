@@ -19,6 +19,7 @@ typedef struct vertex {
 } vertex;
 
 #define DARK 100 /* the color of eyes */
+#define STEEL 101 /* and of obstacles */
 
 /* Vertices are split where triangles meet at an edge, so that normals are smooth elsewhere. */
 typedef struct drawing {
@@ -29,6 +30,7 @@ typedef struct drawing {
     sfem_int triangles, points;
     double *x;            /* [points][3] */
     double broken, pieces; /* when it was made */
+    int late;              /* pictures since then in which it would have been another */
     sfem_fragments fragments;
     sfem_embed *embed;
     sfem_embed_pieces parts;
@@ -45,7 +47,7 @@ static struct page {
     sfem_int skin_own; /* triangles of it; those after them are eyes and a nose */
     sc_file file;
     char *file_bytes, file_name[64];
-    double info[32], hand[7];
+    double info[32], hand[7], arrow[1 + 6 * SC_OBSTACLES];
     sfem_error err;
     char *text;
 } page;
@@ -258,8 +260,9 @@ static sfem_status make_fragments(drawing *d, const sc_item *item, sfem_error *e
     return done ? SFEM_OK : sc_fail(err, SFEM_OUT_OF_MEMORY, "out of memory");
 }
 
-/* Makes what is drawn of an item anew where something has broken. */
-static sfem_status refresh(int k, sfem_error *err)
+/* Makes what is drawn of an item anew where something has broken: now, or, as that takes as long as a step and breaks come
+ * one after another, in every third picture. */
+static sfem_status refresh(int k, int now, sfem_error *err)
 {
     const sc_item *item = page.w->item + k;
     drawing *d = page.d + k;
@@ -269,6 +272,8 @@ static sfem_status refresh(int k, sfem_error *err)
         pieces = sfem_body_fracture(item->body).pieces;
     }
     if (d->embed ? d->pieces == pieces : d->count && d->broken == broken) return SFEM_OK;
+    if (!now && d->count && ++d->late < 3) return SFEM_OK;
+    d->late = 0;
     page.changed = 1;
     if (d->embed) {
         sfem_embed_pieces_free(&d->parts);
@@ -287,6 +292,63 @@ static sfem_status refresh(int k, sfem_error *err)
     return SFEM_OK;
 }
 
+/* Obstacles: balls and boxes. A floor is the page's own. */
+enum { BALL_AROUND = 24, BALL_RINGS = 12 };
+
+static int solid_vertices(sfem_obstacle_kind kind)
+{
+    return kind == SFEM_OBSTACLE_SPHERE ? (BALL_AROUND + 1) * (BALL_RINGS + 1) : kind == SFEM_OBSTACLE_BOX ? 24 : 0;
+}
+
+static int solid_indices(sfem_obstacle_kind kind)
+{
+    return kind == SFEM_OBSTACLE_SPHERE ? 6 * BALL_AROUND * BALL_RINGS : kind == SFEM_OBSTACLE_BOX ? 36 : 0;
+}
+
+static void index_solid(sfem_obstacle_kind kind, uint32_t *index, uint32_t first)
+{
+    static const uint32_t quad[6] = {0, 1, 3, 0, 3, 2};
+    const int ball = kind == SFEM_OBSTACLE_SPHERE;
+    int i, k;
+    for (i = 0; i < solid_indices(kind) / 6; ++i)
+        for (k = 0; k < 6; ++k) {
+            const uint32_t row = (uint32_t)(ball ? i / BALL_AROUND : 0), at = (uint32_t)(ball ? i % BALL_AROUND : 4 * i);
+            *index++ = first + (ball ? (row + (quad[k] >> 1)) * (BALL_AROUND + 1) + at + (quad[k] & 1) : at + quad[k]);
+        }
+}
+
+/* Vertex i in the obstacle's own axes: its place over its size, and its normal. */
+static void solid_point(sfem_obstacle_kind kind, int i, double y[3], double n[3])
+{
+    if (kind == SFEM_OBSTACLE_SPHERE) {
+        const double a = 2 * SC_PI * (i % (BALL_AROUND + 1)) / BALL_AROUND, b = SC_PI * (i / (BALL_AROUND + 1)) / BALL_RINGS;
+        y[0] = sin(b) * cos(a), y[1] = sin(b) * sin(a), y[2] = cos(b);
+        memcpy(n, y, 3 * sizeof *n);
+    } else {
+        const int axis = i / 8, sign = i / 4 % 2 ? 1 : -1;
+        n[0] = n[1] = n[2] = 0;
+        y[axis] = n[axis] = sign;
+        y[(axis + 1) % 3] = i % 2 ? 1 : -1;
+        y[(axis + 2) % 3] = i / 2 % 2 ? 1 : -1;
+    }
+}
+
+static void fill_solid(const sc_obstacle *o, vertex *v)
+{
+    double at[3], axes[9], y[3], n[3];
+    int i, j, c;
+    sfem_contact_obstacle_pose(page.w->contact, o->id, at, axes);
+    for (i = 0; i < solid_vertices(o->def.kind); ++i) {
+        solid_point(o->def.kind, i, y, n);
+        for (c = 0; c < 3; ++c) y[c] *= o->def.size[o->def.kind == SFEM_OBSTACLE_SPHERE ? 0 : c];
+        for (c = 0; c < 3; ++c)
+            for (v[i].x[c] = (float)at[c], v[i].n[c] = 0, j = 0; j < 3; ++j) {
+                v[i].x[c] += (float)(axes[3 * c + j] * y[j]);
+                v[i].n[c] += (float)(axes[3 * c + j] * n[j]);
+            }
+    }
+}
+
 static int count_of(const drawing *d) { return d->parts.vertices ? d->parts.vertices : d->count; }
 static int corners_of(const drawing *d) { return 3 * (d->parts.vertices ? d->parts.triangles : d->triangles); }
 
@@ -298,6 +360,10 @@ static sfem_status lay_out(sfem_error *err)
     for (k = 0; k < page.w->items; ++k) {
         page.vertices += count_of(page.d + k);
         page.indices += corners_of(page.d + k);
+    }
+    for (k = 0; k < page.w->obstacles; ++k) {
+        page.vertices += solid_vertices(page.w->obstacle[k].def.kind);
+        page.indices += solid_indices(page.w->obstacle[k].def.kind);
     }
     free(page.vertex);
     free(page.index);
@@ -320,6 +386,13 @@ static sfem_status lay_out(sfem_error *err)
         for (i = 0; i < corners_of(d); ++i) page.index[page.indices + i] = (uint32_t)(from[i] + page.vertices);
         page.vertices += count_of(d);
         page.indices += corners_of(d);
+    }
+    for (k = 0; k < page.w->obstacles; ++k) {
+        const sfem_obstacle_kind kind = page.w->obstacle[k].def.kind;
+        index_solid(kind, page.index + page.indices, (uint32_t)page.vertices);
+        for (i = 0; i < solid_vertices(kind); ++i) page.vertex[page.vertices + i].color = STEEL;
+        page.vertices += solid_vertices(kind);
+        page.indices += solid_indices(kind);
     }
     return SFEM_OK;
 }
@@ -445,21 +518,25 @@ EXPORT(page_set) int page_set(int slider, double value)
 
 EXPORT(page_step) int page_step(int steps) { return (int)sc_run(page.w, steps, &page.err); }
 
-static sfem_status prepare_drawing(sfem_error *err)
+static sfem_status prepare_drawing(int now, sfem_error *err)
 {
     vertex *v;
     int k;
-    for (k = 0; k < page.w->items; ++k) SC_TRY(refresh(k, err));
+    for (k = 0; k < page.w->items; ++k) SC_TRY(refresh(k, now, err));
     if (page.changed) SC_TRY(lay_out(err));
     for (v = page.vertex, k = 0; k < page.w->items; ++k) {
         fill(k, v);
         v += count_of(page.d + k);
     }
+    for (k = 0; k < page.w->obstacles; ++k) {
+        fill_solid(page.w->obstacle + k, v);
+        v += solid_vertices(page.w->obstacle[k].def.kind);
+    }
     return SFEM_OK;
 }
 
-/* Vertices and, after page_changed() = 1, indices for WebGL. */
-EXPORT(page_draw) int page_draw(void) { return (int)prepare_drawing(&page.err); }
+/* Vertices and, after page_changed() = 1, indices for WebGL. now: 0 while pictures follow each other, see refresh. */
+EXPORT(page_draw) int page_draw(int now) { return (int)prepare_drawing(now, &page.err); }
 
 EXPORT(page_changed) int page_changed(void)
 {
@@ -473,11 +550,13 @@ EXPORT(page_index) const void *page_index(void) { return page.index; }
 EXPORT(page_vertices) int page_vertices(void) { return page.vertices; }
 EXPORT(page_indices) int page_indices(void) { return page.indices; }
 
-EXPORT(page_grab) double page_grab(double ox, double oy, double oz, double dx, double dy, double dz)
+/* Takes hold of what is there, or, poke = 1, puts a ball there: how far away, or -1, nothing, or -2, an error. */
+EXPORT(page_grab) double page_grab(double ox, double oy, double oz, double dx, double dy, double dz, int poke)
 {
     const double origin[3] = {ox, oy, oz}, direction[3] = {dx, dy, dz};
     double distance;
-    return sc_grab(page.w, origin, direction, &distance, &page.err) == SFEM_OK ? distance : -2;
+    page.changed = 1;
+    return (poke ? sc_poke : sc_grab)(page.w, origin, direction, &distance, &page.err) == SFEM_OK ? distance : -2;
 }
 
 EXPORT(page_move) int page_move(double x, double y, double z)
@@ -486,7 +565,11 @@ EXPORT(page_move) int page_move(double x, double y, double z)
     return (int)sc_move_hand(page.w, to, &page.err);
 }
 
-EXPORT(page_release) void page_release(void) { sc_release(page.w); }
+EXPORT(page_release) void page_release(void)
+{
+    page.changed = 1;
+    sc_release(page.w);
+}
 
 /* from and to: [6] each; returns how many edges are marked, or -1. */
 EXPORT(page_cut) int page_cut(const double *from, const double *to)
@@ -511,11 +594,26 @@ EXPORT(page_info) const double *page_info(void)
     return page.info;
 }
 
-/* 1 if it holds something; where, m; the force, N. */
+/* 1 if it holds something, or there is the ball; where, m; the force, N. */
 EXPORT(page_hand) const double *page_hand(void)
 {
     page.hand[0] = sc_hand(page.w, page.hand + 1, page.hand + 4);
     return page.hand;
+}
+
+/* How many obstacles have a force to be shown; of each where, m, and what it feels, N. */
+EXPORT(page_arrows) const double *page_arrows(void)
+{
+    double *p = page.arrow, axes[9];
+    int k;
+    for (*p++ = 0, k = 0; k < page.w->obstacles - page.w->poking; ++k) {
+        if (!solid_vertices(page.w->obstacle[k].def.kind)) continue;
+        sfem_contact_obstacle_pose(page.w->contact, page.w->obstacle[k].id, p, axes);
+        sc_obstacle_force(page.w, k, p + 3);
+        p += 6;
+        ++page.arrow[0];
+    }
+    return page.arrow;
 }
 
 EXPORT(page_hash) const char *page_hash(void)
@@ -540,7 +638,7 @@ static int run_scene(const char *text)
     i = parts == 3 ? sc_slider_of(sc_scenes[k], slider) : 0;
     if (i < 0) return printf("%s has no slider %s\n", name, slider), 1;
     if (parts == 3) value[i] = set;
-    if (page_open(k, value) || page_step(300) || page_draw()) return printf("%s\n", page_error()), 1;
+    if (page_open(k, value) || page_step(300) || page_draw(1)) return printf("%s\n", page_error()), 1;
     printf("%s %s\n", text, page_hash());
     return 0;
 }
@@ -552,7 +650,7 @@ int main(int count, char **names)
         if (run_scene(names[i])) return 1;
     (void)page_new, (void)page_delete, (void)page_scenes, (void)page_file, (void)page_set;
     (void)page_changed, (void)page_vertex, (void)page_index, (void)page_vertices, (void)page_indices, (void)page_grab;
-    (void)page_move, (void)page_release, (void)page_cut, (void)page_info, (void)page_hand;
+    (void)page_move, (void)page_release, (void)page_cut, (void)page_info, (void)page_hand, (void)page_arrows;
     return 0;
 }
 #endif

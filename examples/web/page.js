@@ -148,7 +148,7 @@ float lit(vec4 shade, float bias) {
 const BODY = COMMON + `
 in vec3 at, normal; in vec4 shade; flat in int which; uniform vec3 palette[${PALETTE.length}]; out vec4 result;
 void main() {
-  vec3 n = normalize(normal), v = normalize(eye - at), base = which >= 100 ? vec3(0.06, 0.05, 0.06) : palette[which % ${PALETTE.length}];
+  vec3 n = normalize(normal), v = normalize(eye - at), base = which == 101 ? vec3(0.50, 0.55, 0.63) : which == 100 ? vec3(0.06, 0.05, 0.06) : palette[which % ${PALETTE.length}];
   if (dot(n, v) < -0.2) n = -n;
   float sunny = max(dot(n, sun), 0.0) * lit(shade, 0.004), sky = 0.5 + 0.5 * n.z;
   vec3 c = base * (mix(vec3(0.44, 0.41, 0.42), vec3(0.64, 0.67, 0.72), sky) + 0.50 * sunny * vec3(1.0, 0.96, 0.9));
@@ -233,7 +233,7 @@ function lightMatrix() { /* from the sun, all that may throw a shadow */
 
 let indices = 0;
 function draw() {
-  if (c.page_draw()) return complain();
+  if (c.page_draw(run.paused ? 1 : 0)) return complain();
   const s = shape(), light = lightMatrix();
   gl.bindVertexArray(buffers.array);
   gl.bindBuffer(gl.ARRAY_BUFFER, buffers.vertex);
@@ -297,9 +297,18 @@ function drawOver() {
     swipe.forEach((p, i) => i ? g.lineTo(...p) : g.moveTo(...p));
     g.stroke();
   }
-  if (!hand[0]) return;
-  const x = [...hand.subarray(1, 4)], force = [...hand.subarray(4, 7)], size = Math.hypot(...force), from = onScreen(x);
-  const s = shape(), way = unit(force), dx = dot(way, s.right), dy = -dot(way, s.up), length = 130 * size / (size + 0.3 * world.scale);
+  const solids = doubles(c.page_arrows(), 1)[0], all = [...doubles(c.page_arrows(), 1 + 6 * solids)];
+  for (let k = 0; k < solids; ++k) {
+    const x = all.slice(6 * k + 1, 6 * k + 4), force = all.slice(6 * k + 4, 6 * k + 7);
+    if (Math.hypot(...force) > 0) drawArrow(g, x, force);
+  }
+  if (hand[0]) drawArrow(g, [...hand.subarray(1, 4)], [...hand.subarray(4, 7)]);
+}
+
+/* A force at x: an arrow and a number. */
+function drawArrow(g, x, force) {
+  const size = Math.hypot(...force), from = onScreen(x), s = shape(), way = unit(force);
+  const dx = dot(way, s.right), dy = -dot(way, s.up), length = 130 * size / (size + 0.3 * world.scale);
   const to = [from[0] + dx * length, from[1] + dy * length], flat = Math.hypot(dx, dy) * length;
   g.strokeStyle = g.fillStyle = dark() ? "#ffd166" : "#b3261e";
   g.lineWidth = 3.5;
@@ -320,8 +329,10 @@ function drawOver() {
   g.font = "600 15px system-ui, sans-serif";
   g.lineWidth = 4;
   g.strokeStyle = dark() ? "#0d1117" : "#fff";
-  g.strokeText(number(size) + " N", to[0] + 12, to[1] - 8);
-  g.fillText(number(size) + " N", to[0] + 12, to[1] - 8);
+  const right = dx >= 0 || flat < 12, at = [to[0] + (right ? 12 : -12), to[1] - 8];
+  g.textAlign = right ? "left" : "right";
+  g.strokeText(number(size) + " N", ...at);
+  g.fillText(number(size) + " N", ...at);
 }
 
 /* ------------------------------------------------------------------------------------------
@@ -368,6 +379,7 @@ function open(k, wanted, keepCamera) {
 
 function opened(k, wanted, keepCamera) {
   current = k;
+  held = null; /* the hand and the ball were of the world before */
   ++changes;
   values = [...wanted];
   swipe.length = 0;
@@ -477,8 +489,8 @@ function steps(count) {
 const BUDGET = 26; /* ms of a frame for physics; what is too slow for that goes slower */
 /* What a picture depends on. While that stays, as in a paused scene, nothing is drawn. */
 let changes = 0, pictured = "";
-const pictureOf = () => [changes, camera.yaw, camera.pitch, camera.distance, dark(), view.clientWidth, view.clientHeight, swipe.length,
-  held ? held.at : 0, devicePixelRatio].join(" ");
+const pictureOf = () => [changes, run.paused, camera.yaw, camera.pitch, camera.distance, dark(), view.clientWidth, view.clientHeight, swipe.length,
+  held ? [held.at, held.depth] : 0, devicePixelRatio].join(" ");
 
 let last = 0, frames = 0, drawn = 0, shown = 0, clock = 0, simulated = 0;
 function frame(now) {
@@ -527,9 +539,8 @@ function showNumbers(now) {
   run.energies.push([i.kinetic, i.elastic]);
   if (run.energies.length > 120) run.energies.shift();
   const rows = [["energy", number(total) + " J"], ["physics", run.physics.toFixed(1) + " ms a step"], ["drawing", run.drawing.toFixed(1) + " ms"],
-    ["rejected steps", i.rejected], ["pieces", i.pieces], ["corrections", i.corrections, 1], ["tets", i.bodies > 1 ? i.bodies + " x " + i.tets : i.tets, 1],
+    ["rejected steps", i.rejected], ["pieces", i.pieces], ["contacts", i.contacts], ["corrections", i.corrections, 1], ["tets", i.bodies > 1 ? i.bodies + " x " + i.tets : i.tets, 1],
     ["time", i.time.toFixed(2) + " s", 1], ["speed", "x " + number(Number(run.rate.toFixed(2))), 1], ["frames", (1000 * frames / (now - shown)).toFixed(0) + " /s", 1]];
-  if (i.contacts > 0) rows.push(["contacts", i.contacts]);
   $("rows").replaceChildren(...rows.map(([name, value, wide]) => {
     const row = document.createElement("tr");
     row.className = wide ? "wide" : "";
@@ -571,8 +582,8 @@ const swipe = [], pointers = new Map();
 
 function setTool(name) {
   tool = name;
-  for (const k of ["grab", "cut"]) $(k).setAttribute("aria-pressed", k === name);
-  view.style.cursor = name === "cut" ? "crosshair" : "default";
+  for (const k of ["grab", "poke", "cut"]) $(k).setAttribute("aria-pressed", k === name);
+  view.style.cursor = name === "grab" ? "default" : "crosshair";
 }
 
 function moveHand() {
@@ -580,9 +591,9 @@ function moveHand() {
   if (c.page_move(...along(ray.origin, s, ray.direction))) complain();
 }
 
-/* Takes hold of what is at a pixel; false: nothing is there. */
+/* Takes hold of what is at a pixel, or pokes at it with the ball; false: nothing is there. */
 function grabAt(px, py) {
-  const ray = rayAt(px, py), distance = c.page_grab(...ray.origin, ...ray.direction);
+  const ray = rayAt(px, py), distance = c.page_grab(...ray.origin, ...ray.direction, tool === "poke" ? 1 : 0);
   if (distance === -2) complain();
   if (distance < 0) return false;
   held = {at: [px, py], depth: distance * dot(ray.direction, ray.forward)};
@@ -647,7 +658,11 @@ function pointerEnd(e) {
 view.addEventListener("pointerup", pointerEnd);
 view.addEventListener("pointercancel", pointerEnd);
 view.addEventListener("contextmenu", e => e.preventDefault());
-view.addEventListener("wheel", e => { e.preventDefault(); zoom(Math.exp(0.0012 * e.deltaY)); }, {passive: false});
+view.addEventListener("wheel", e => {
+  e.preventDefault();
+  if (held) held.depth = Math.max(0.1 * camera.distance, held.depth - 0.0006 * e.deltaY * world.radius);
+  else zoom(Math.exp(0.0012 * e.deltaY));
+}, {passive: false});
 
 /* ------------------------------------------------------------------------------------------
  * buttons, keys, files
@@ -655,6 +670,7 @@ view.addEventListener("wheel", e => { e.preventDefault(); zoom(Math.exp(0.0012 *
 
 const act = {
   grab: () => setTool("grab"),
+  poke: () => setTool("poke"),
   cut: () => setTool("cut"),
   pause: () => { run.paused = !run.paused; showRun(); },
   one: () => { run.paused = true; showRun(); if (held) moveHand(); steps(1); },
@@ -672,7 +688,7 @@ const act = {
 };
 for (const [id, f] of Object.entries(act)) $(id).addEventListener("click", f);
 
-const KEYS = {g: "grab", c: "cut", " ": "pause", n: "one", ".": "one", r: "reset", s: "slow", d: "theme", l: "link", "?": "keys"};
+const KEYS = {g: "grab", p: "poke", c: "cut", " ": "pause", n: "one", ".": "one", r: "reset", s: "slow", d: "theme", l: "link", "?": "keys"};
 addEventListener("keydown", e => {
   if (e.target.matches("input[type=text]") || e.ctrlKey || e.metaKey || e.altKey) return;
   const key = e.key.toLowerCase();
@@ -710,7 +726,7 @@ addEventListener("hashchange", () => { if (location.hash !== linked) openLinked(
  * ------------------------------------------------------------------------------------------ */
 
 window.softfem = {
-  ready: false, info, run, onScreen, camera, world, act, steps, setSlider,
+  ready: false, info, run, onScreen, shape, camera, world, act, steps, setSlider,
   get simd() { return simd; }, get scene() { return scenes[current].name; }, get scenes() { return scenes.map(s => s.name); },
   open: (name, slider, value) => {
     const k = scenes.findIndex(s => s.name === name);
