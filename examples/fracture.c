@@ -409,7 +409,7 @@ static void play(const ex_options *o, int scene)
     r.o = *o;
     r.scene = scene;
     r.quick = ex_given(o, "--quick") > 0;
-    r.h = r.quick ? 2 * step[scene] : step[scene];
+    r.h = step[scene];
     if (ex_given(o, "--dt")) r.h = ex_positive(o, "--dt");
     r.steps = ex_steps(seconds[scene], r.h);
     memcpy(r.shot, shot[scene], sizeof r.shot);
