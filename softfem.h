@@ -22220,8 +22220,11 @@ typedef struct sfemi_damage_round_job {
  *    H = grad u in the frame of the patch, is the force on the crack fronts inside [Eshelby 1956; Li, Shih, Needleman
  *    1985]. In equilibrium it depends neither on r nor on the mesh. The second integral takes away what pushes at a
  *    smooth surface.
- * 3. The crack plane is across m, the direction of the largest principal mean stress, and goes through the mean place of
- *    the broken edges, weighted by distance from x0; through x0 where none is broken.
+ * 3. The crack plane is across m and goes through the mean place of the broken edges, weighted by distance from x0;
+ *    through x0 where none is broken. m is the direction of the largest principal value of the mean stress, plus, times
+ *    E, the strain of damaged tets: a crack opens across its plane. The stress alone will not do, for stress along a
+ *    crack does not move it, yet is most of the mean in a beam that is split. Then m is rotated towards the shear of
+ *    that plane.
  * 4. G = |J - m m.J| / B, B the integral of q along the line through x0 across m and J. Fronts that face one another
  *    across a ligament push against one another: there, if it is more, the sum of what points at x0 instead of |J|.
  * 5. Nodes that are pinned or held by handles are left out; with one closer than an edge to x0, G is not known: 0.
@@ -22231,6 +22234,8 @@ typedef struct sfemi_damage_round_job {
  */
 #define SFEMI_DAMAGE_REACH 3.5
 #define SFEMI_DAMAGE_CORE 0.6
+#define SFEMI_DAMAGE_OPEN 4.0 /* weight of what opens; and at most so many strains at which an edge's length stores Gc */
+#define SFEMI_DAMAGE_MODE 1.5 /* K_II/K_I over shear/tension, means over a disc round a front: 0.764/0.509 */
 
 typedef struct sfemi_damage_patch {
     sfem_real x0[3], r;
@@ -22239,7 +22244,9 @@ typedef struct sfemi_damage_patch {
     sfem_real centre[3];    /* integral of q (X - x0) */
     sfem_real damage[4];    /* sums over broken edges of the tets' weight (X - x0), weight */
     sfem_real stress[9];    /* integral of q P */
+    sfem_real open[9];      /* and of q times the strain of damaged tets, as stress */
     sfem_real m[3], offset; /* the crack's plane: m.(X - x0) = offset */
+    int blind;              /* 1: a node is held too close to x0 */
 } sfemi_damage_patch;
 
 /* Nodes within reach of edge k, and the tets that have any of them. */
@@ -22381,6 +22388,25 @@ static sfem_real sfemi_damage_patch_stress(const sfemi_damage *d, sfem_int e, co
     }
 }
 
+/* Adds the strain of a damaged tet, as stress. At most what opens at a crack of G = Gc, so that a piece that is far away
+ * does not count for more. */
+static void sfemi_damage_patch_open(const sfemi_damage *d, sfem_int e, const sfem_real h[9], sfem_real q,
+                                    sfemi_damage_patch *p)
+{
+    const sfem_model *model = d->bonds->model;
+    const sfem_real lambda = model->lambda[e], mu = model->mu[e], young = mu * (3 * lambda + 2 * mu) / (lambda + mu);
+    const sfem_real most = SFEMI_DAMAGE_OPEN * sqrt(2 * d->bonds->def.toughness * SFEMI_DAMAGE_REACH / (young * p->r));
+    sfem_real strain[9], size = 0;
+    int k;
+    for (k = 0; k < 9; ++k) {
+        strain[k] = (h[k] + h[3 * (k % 3) + k / 3]) / 2;
+        size += strain[k] * strain[k];
+    }
+    size = sqrt(size);
+    for (k = 0; k < 9; ++k)
+        p->open[k] += SFEMI_DAMAGE_OPEN * young * model->volume[e] * q * strain[k] * (size > most ? most / size : 1);
+}
+
 /* Adds what tet e contributes. */
 static void sfemi_damage_patch_add(const sfemi_damage *d, sfem_int e, const sfemi_damage_step *step,
                                    sfemi_damage_patch *p)
@@ -22405,8 +22431,9 @@ static void sfemi_damage_patch_add(const sfemi_damage *d, sfem_int e, const sfem
         for (c = 0; c < 3; ++c) p->damage[c] += weight * away[c];
         p->damage[3] += weight;
     }
-    if (d->kind[e] == SFEMI_DISCONNECTED) return;
     sfemi_damage_patch_gradient(d, e, step, p, g, h);
+    if (d->kind[e] != SFEMI_INTACT) sfemi_damage_patch_open(d, e, h, q, p);
+    if (d->kind[e] == SFEMI_DISCONNECTED) return;
     w = sfemi_damage_patch_stress(d, e, h, stress);
     for (a = 0; a < 4; ++a) {
         sfem_real flux[3], *push = d->push + 3 * (size_t)t[a];
@@ -22492,21 +22519,39 @@ static sfem_real sfemi_damage_patch_force(const sfemi_damage *d, const sfemi_dam
     return inwards;
 }
 
-/* The energy that a crack round edge k would release for its area, J/m^2. d->patch and p->m, p->offset, which tell the
- * sides of the crack's plane, are good until sfemi_damage_leave_patch. */
-static sfem_real sfemi_damage_release_rate(sfemi_damage *d, sfem_int k, const sfemi_damage_step *step,
-                                           sfemi_damage_patch *p)
+/* Rotates m towards the direction in which the crack's plane is sheared: by the angle at which the hoop stress round the
+ * front is largest [Erdogan, Sih 1963]. */
+static void sfemi_damage_patch_kink(const sfemi_damage *d, sfemi_damage_patch *p, const sfemi_damage_step *step)
 {
-    sfem_real stress[9], w[3], v[9], way[3], front[3], middle[3], size, inwards, length;
-    sfem_int i;
-    int c, blind = 0;
-    sfemi_damage_gather_patch(d, k, p);
-    blind = sfemi_damage_patch_held(d, p, step);
-    sfemi_damage_patch_frame(d, step, p);
-    for (i = 0; i < d->patch_tets; ++i) sfemi_damage_patch_add(d, d->patch_tet[i], step, p);
-    memcpy(stress, p->stress, sizeof stress);
-    sfemi_sym_eigen(3, stress, w, v);
+    sfem_real way[3], pull[3], normal, shear, size, mode, part;
+    int c;
+    sfemi_damage_patch_force(d, p, step, way);
+    size = sqrt(sfemi_dot3(way, way));
+    if (!(size > 0)) return;
+    for (c = 0; c < 3; ++c) pull[c] = sfemi_dot3(p->stress + 3 * c, p->m);
+    normal = sfemi_dot3(pull, p->m);
+    shear = sfemi_dot3(pull, way) / size;
+    if (!(normal > 0)) return;
+    mode = SFEMI_DAMAGE_MODE * shear / normal;
+    part = 2 * mode / (1 + sqrt(1 + 8 * mode * mode)); /* the tangent of half the angle */
+    for (c = 0; c < 3; ++c) p->m[c] = ((1 - part * part) * p->m[c] + 2 * part * way[c] / size) / (1 + part * part);
+}
+
+/* m is the direction of the largest principal value of `tensor`; the crack's plane goes through what is broken. */
+static void sfemi_damage_patch_across(const sfem_real tensor[9], sfemi_damage_patch *p)
+{
+    sfem_real a[9], w[3], v[9];
+    int c;
+    memcpy(a, tensor, sizeof a);
+    sfemi_sym_eigen(3, a, w, v);
     for (c = 0; c < 3; ++c) p->m[c] = v[3 * c];
+}
+
+/* The energy that a crack across m would release for its area, J/m^2; the crack's plane goes through what is broken. */
+static sfem_real sfemi_damage_patch_rate(const sfemi_damage *d, const sfemi_damage_step *step, sfemi_damage_patch *p)
+{
+    sfem_real way[3], front[3], middle[3], size, inwards, length;
+    int c;
     p->offset = p->damage[3] > 0 ? sfemi_dot3(p->damage, p->m) / p->damage[3] : 0;
     inwards = sfemi_damage_patch_force(d, p, step, way);
     size = sqrt(sfemi_dot3(way, way));
@@ -22516,7 +22561,25 @@ static sfem_real sfemi_damage_release_rate(sfemi_damage *d, sfem_int k, const sf
     for (c = 0; c < 3; ++c) /* inside, where x0 is on the surface, and not along a face */
         middle[c] = p->x0[c] + 0.05 * p->centre[c] / p->volume + 1e-3 * p->r * (0.8 * p->m[c] + 0.6 * way[c]);
     length = sfemi_damage_patch_front(d, middle, front);
-    return length > 0 && !blind ? fmax(size, inwards) / length : 0;
+    return length > 0 && !p->blind ? fmax(size, inwards) / length : 0;
+}
+
+/* The energy that a crack round edge k would release for its area, J/m^2. d->patch and p->m, p->offset, which tell the
+ * sides of the crack's plane, are good until sfemi_damage_leave_patch. */
+static sfem_real sfemi_damage_release_rate(sfemi_damage *d, sfem_int k, const sfemi_damage_step *step,
+                                           sfemi_damage_patch *p)
+{
+    sfem_real sum[9];
+    sfem_int i;
+    int c;
+    sfemi_damage_gather_patch(d, k, p);
+    p->blind = sfemi_damage_patch_held(d, p, step);
+    sfemi_damage_patch_frame(d, step, p);
+    for (i = 0; i < d->patch_tets; ++i) sfemi_damage_patch_add(d, d->patch_tet[i], step, p);
+    for (c = 0; c < 9; ++c) sum[c] = p->stress[c] + p->open[c];
+    sfemi_damage_patch_across(sum, p);
+    if (p->damage[3] > 0) sfemi_damage_patch_kink(d, p, step);
+    return sfemi_damage_patch_rate(d, step, p);
 }
 
 /* On which side of the crack's plane is the node? m from it. A node near the plane that has lost edges stays on the side
@@ -23262,13 +23325,11 @@ static sfem_int sfemi_damage_sort_peaks(sfemi_damage *d)
 
 enum { SFEMI_DAMAGE_TRIES = 8 }; /* edges that are tried round a peak until one breaks without making energy */
 
-/* Edges that may break round the peak k, the largest w_k/price first, then by number. Returns how many. */
-static int sfemi_damage_choose(sfemi_damage *d, sfem_int k, const sfemi_damage_step *step,
-                               sfem_int out[SFEMI_DAMAGE_TRIES])
+/* Edges of the patch that may break, the largest w_k/price first, then by number. Returns how many. */
+static int sfemi_damage_list(const sfemi_damage *d, const sfemi_damage_patch *p, sfem_real rate,
+                             sfem_int out[SFEMI_DAMAGE_TRIES])
 {
     const sfemi_bonds *g = d->bonds;
-    sfemi_damage_patch p;
-    const sfem_real rate = sfemi_damage_release_rate(d, k, step, &p);
     sfem_int i, at;
     int j, count = 0;
     for (i = 0; i < d->patch_nodes; ++i) {
@@ -23276,8 +23337,8 @@ static int sfemi_damage_choose(sfemi_damage *d, sfem_int k, const sfemi_damage_s
         for (at = g->node_start[node]; d->near_by[node] >= 1 && at < g->node_start[node + 1]; ++at) {
             const sfem_int edge = g->node_edge[at], *end = g->end + 2 * (size_t)edge;
             const sfem_real ratio = d->ratio[edge];
-            const int across = sfemi_damage_side(d, &p, end[0]) * sfemi_damage_side(d, &p, end[1]) < 0;
-            const sfem_real most = !(p.damage[3] > 0) ? 1 : across ? SFEMI_DAMAGE_MOST : SFEMI_DAMAGE_ASTRAY;
+            const int across = sfemi_damage_side(d, p, end[0]) * sfemi_damage_side(d, p, end[1]) < 0;
+            const sfem_real most = !(p->damage[3] > 0) ? 1 : across ? SFEMI_DAMAGE_MOST : SFEMI_DAMAGE_ASTRAY;
             if (!(d->zeta[edge] > 0) || ratio < SFEMI_DAMAGE_LEAST || d->most[end[0]] < 0 || d->most[end[1]] < 0)
                 continue;
             if (ratio < most && !(across && rate >= g->def.toughness * g->factor[edge])) continue;
@@ -23289,6 +23350,22 @@ static int sfemi_damage_choose(sfemi_damage *d, sfem_int k, const sfemi_damage_s
             if (j < SFEMI_DAMAGE_TRIES) out[j] = edge;
             count += count < SFEMI_DAMAGE_TRIES;
         }
+    }
+    return count;
+}
+
+/* The same, round the peak k. Where no edge across the plane may break, as at a seam whose sides are tougher, the crack
+ * goes straight on, across the direction in which it is open. */
+static int sfemi_damage_choose(sfemi_damage *d, sfem_int k, const sfemi_damage_step *step,
+                               sfem_int out[SFEMI_DAMAGE_TRIES])
+{
+    sfemi_damage_patch p;
+    const sfem_real rate = sfemi_damage_release_rate(d, k, step, &p);
+    sfem_int i;
+    int count = sfemi_damage_list(d, &p, rate, out);
+    if (!count && rate > 0 && p.damage[3] > 0) {
+        sfemi_damage_patch_across(p.open, &p);
+        count = sfemi_damage_list(d, &p, sfemi_damage_patch_rate(d, step, &p), out);
     }
     for (i = 0; i < d->patch_nodes; ++i) /* not looked at again in this round */
         if (d->near_by[d->patch[i]] >= 1) d->most[d->patch[i]] = -1;

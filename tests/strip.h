@@ -128,13 +128,66 @@ BODY_STATIC sfem_status strip_delaunay(int nx, int ny, int nz, uint64_t seed, sf
     return status;
 }
 
+/* A block of nx x ny x nz cells, nz of them 1 m. */
+BODY_STATIC sfem_status strip_block(int kind, const int n[3], uint64_t seed, sfem_mesh *out, sfem_error *err)
+{
+    const double size[3] = {(double)n[0] / n[2], (double)n[1] / n[2], 1};
+    sfem_int cells[3];
+    cells[0] = n[0], cells[1] = n[1], cells[2] = n[2];
+    if (kind == STRIP_CENTRED) return strip_centred(n[0], n[1], n[2], out, err);
+    if (kind == STRIP_DELAUNAY) return strip_delaunay(n[0], n[1], n[2], seed, out, err);
+    return sfem_mesh_block(cells, size, kind == STRIP_5_TETS ? SFEM_CELL_5_TETS : SFEM_CELL_6_TETS, NULL, out, err);
+}
+
+/* The tets of a larger block, rotated about y by so many degrees, all of whose nodes are in the strip. Its rim is ragged. */
+BODY_STATIC sfem_status strip_rotated(int kind, int n, int thick, uint64_t seed, double degrees, sfem_mesh *out,
+                                      sfem_error *err)
+{
+    const double angle = degrees * 3.14159265358979323846 / 180, c = cos(angle), s = sin(angle);
+    const int half[2] = {(int)ceil(n * (1.5 * fabs(c) + 0.5 * fabs(s))) + 1, (int)ceil(n * (1.5 * fabs(s) + 0.5 * fabs(c))) + 1};
+    const int cells[3] = {2 * half[0], thick, 2 * half[1]};
+    sfem_int *index, *tet, tets = 0, nodes = 0, i;
+    sfem_status status;
+    sfem_mesh all;
+    double *x;
+    int k;
+    status = strip_block(kind, cells, seed, &all, err);
+    if (status != SFEM_OK) return status;
+    x = (double *)body_new(3 * (size_t)all.nodes, sizeof *x);
+    tet = (sfem_int *)body_new(4 * (size_t)all.tets, sizeof *tet);
+    index = (sfem_int *)body_new((size_t)all.nodes, sizeof *index);
+    for (i = 0; i < all.nodes; ++i) {
+        double *to = all.x + 3 * (size_t)i;
+        const double scale = (double)cells[2] / n, a = scale * to[0] - (double)half[0] / n, b = scale * to[2] - (double)half[1] / n;
+        to[0] = c * a - s * b + 1.5;
+        to[1] *= scale;
+        to[2] = s * a + c * b + 0.5;
+        index[i] = to[0] >= 0 && to[0] <= STRIP_LENGTH && to[2] >= 0 && to[2] <= 1 ? -1 : -2;
+    }
+    for (i = 0; i < all.tets; ++i) {
+        const sfem_int *t = all.tet + 4 * (size_t)i;
+        if (index[t[0]] < -1 || index[t[1]] < -1 || index[t[2]] < -1 || index[t[3]] < -1) continue;
+        for (k = 0; k < 4; ++k) {
+            if (index[t[k]] < 0) {
+                index[t[k]] = nodes;
+                memcpy(x + 3 * (size_t)nodes++, all.x + 3 * (size_t)t[k], 3 * sizeof *x);
+            }
+            tet[4 * (size_t)tets + (size_t)k] = index[t[k]];
+        }
+        ++tets;
+    }
+    status = sfem_mesh_copy(nodes, x, tets, tet, NULL, out, err);
+    sfem_mesh_free(&all);
+    free(index);
+    free(tet);
+    free(x);
+    return status;
+}
+
 BODY_STATIC sfem_status strip_mesh(int kind, int n, int thick, uint64_t seed, sfem_mesh *out, sfem_error *err)
 {
-    const sfem_int cells[3] = {3 * n, thick, n};
-    const double size[3] = {STRIP_LENGTH, (double)thick / n, 1};
-    if (kind == STRIP_CENTRED) return strip_centred(3 * n, thick, n, out, err);
-    if (kind == STRIP_DELAUNAY) return strip_delaunay(3 * n, thick, n, seed, out, err);
-    return sfem_mesh_block(cells, size, kind == STRIP_5_TETS ? SFEM_CELL_5_TETS : SFEM_CELL_6_TETS, NULL, out, err);
+    const int cells[3] = {3 * n, thick, n};
+    return strip_block(kind, cells, seed, out, err);
 }
 
 typedef struct strip {
@@ -144,6 +197,7 @@ typedef struct strip {
     double poisson;
     double per_cell;        /* time steps in which a wave of speed sqrt(E/rho) crosses a cell: 2 */
     double until;           /* of Griffith's displacement, at the end */
+    double rotate;          /* the mesh about y, degrees; 0: cells along the strip. Else grips are 1.2 cells high */
     sfem_damage_def damage; /* toughness is set to 1 J/m^2; strengths are strains over Griffith's mean one */
 } strip;
 
@@ -154,6 +208,9 @@ typedef struct strip_result {
     int pieces, crumbs;     /* at the end; those of one node */
     int halves;             /* those of a tenth of the nodes or more */
     double error;           /* of the energies */
+    /* the path of the crack over the 1.2 m ahead of the blade, by edges weighted by dual areas: */
+    double angle, rough;    /* its mean direction, degrees; the RMS distance from that line, in cells */
+    double area;            /* 2/3 of the dual areas over the section */
 } strip_result;
 
 BODY_STATIC void strip_must(sfem_status status, const sfem_error *err)
@@ -180,21 +237,21 @@ BODY_STATIC sfem_model *strip_model(const strip *s, const sfem_mesh *mesh)
 }
 
 /* -1 at the bottom, 1 at the top */
-BODY_STATIC int strip_end(const sfem_mesh *mesh, sfem_int node)
+BODY_STATIC int strip_end(const strip *s, const sfem_mesh *mesh, sfem_int node)
 {
-    const double z = mesh->x[3 * (size_t)node + 2];
-    return z < 1e-9 ? -1 : z > 1 - 1e-9 ? 1 : 0;
+    const double z = mesh->x[3 * (size_t)node + 2], grip = s->rotate != 0 ? 1.2 / s->n : 1e-9;
+    return z < grip ? -1 : z > 1 - grip ? 1 : 0;
 }
 
-BODY_STATIC void strip_move(sfem_body *body, const sfem_mesh *mesh, double way)
+BODY_STATIC void strip_move(const strip *s, sfem_body *body, const sfem_mesh *mesh, double way)
 {
     sfem_error err;
     sfem_int i;
     for (i = 0; i < mesh->nodes; ++i) {
         double to[3];
-        if (!strip_end(mesh, i)) continue;
+        if (!strip_end(s, mesh, i)) continue;
         memcpy(to, mesh->x + 3 * (size_t)i, sizeof to);
-        to[2] += way * strip_end(mesh, i);
+        to[2] += way * strip_end(s, mesh, i);
         strip_must(sfem_body_move_pin(body, i, to, &err), &err);
     }
 }
@@ -206,14 +263,14 @@ BODY_STATIC double strip_griffith(const strip *s, const sfem_mesh *mesh, const s
     strip soft = *s;
     sfem_model *model;
     sfem_body *body;
-    double *stress = (double *)body_new(6 * (size_t)mesh->tets, sizeof *stress), energy = 0, volume = 0;
+    double *stress = (double *)body_new(6 * (size_t)mesh->tets, sizeof *stress), energy = 0;
     sfem_error err;
     sfem_int e;
     int k;
     soft.law = SFEM_LINEAR;
     model = strip_model(&soft, mesh);
     strip_must(sfem_body_create(model, held, &body, &err), &err);
-    strip_move(body, mesh, way);
+    strip_move(s, body, mesh, way);
     strip_must(sfem_body_solve_static(body, &err), &err);
     sfem_model_stress(model, sfem_body_displacement(body), stress, NULL);
     for (e = 0; e < mesh->tets; ++e) {
@@ -230,12 +287,11 @@ BODY_STATIC double strip_griffith(const strip *s, const sfem_mesh *mesh, const s
              d[2] * (d[3] * d[7] - d[4] * d[6])) / 6;
         for (k = 0; k < 6; ++k) square += (k < 3 ? 1 : 2) * p[k] * p[k];
         energy += v * ((1 + nu) * square - nu * (p[0] + p[1] + p[2]) * (p[0] + p[1] + p[2])) / 2e6;
-        volume += v;
-    }
+            }
     sfem_body_free(body);
     sfem_model_free(model);
     free(stress);
-    return way / sqrt(energy / volume);
+    return way / sqrt(energy / (0.6 * s->thick / s->n));
 }
 
 /* How many tenths of a body its pieces are. */
@@ -254,24 +310,24 @@ BODY_STATIC void strip_count(sfem_body *body, sfem_int nodes, strip_result *r)
 }
 
 /* Is the top in another piece than the bottom? */
-BODY_STATIC int strip_parted(sfem_body *body, const sfem_mesh *mesh)
+BODY_STATIC int strip_parted(const strip *s, sfem_body *body, const sfem_mesh *mesh)
 {
     const sfem_int *of = sfem_body_piece_of(body);
     sfem_int i, end[2] = {-1, -1};
     for (i = 0; i < mesh->nodes; ++i)
-        if (strip_end(mesh, i)) end[strip_end(mesh, i) > 0] = of[i];
+        if (strip_end(s, mesh, i)) end[strip_end(s, mesh, i) > 0] = of[i];
     return end[0] != end[1];
 }
 
 /* The force at the top, N. */
-BODY_STATIC double strip_force(sfem_body *body, const sfem_mesh *mesh, double *reactions)
+BODY_STATIC double strip_force(const strip *s, sfem_body *body, const sfem_mesh *mesh, double *reactions)
 {
     double sum = 0;
     sfem_int i;
     memset(reactions, 0, 3 * (size_t)mesh->nodes * sizeof *reactions);
     sfem_body_reactions(body, reactions);
     for (i = 0; i < mesh->nodes; ++i)
-        if (strip_end(mesh, i) > 0) sum += reactions[3 * i + 2];
+        if (strip_end(s, mesh, i) > 0) sum += reactions[3 * i + 2];
     return sum;
 }
 
@@ -279,7 +335,8 @@ BODY_STATIC double strip_force(sfem_body *body, const sfem_mesh *mesh, double *r
 BODY_STATIC sfem_body *strip_body(strip *s, const sfem_mesh *mesh, sfem_model *model, const sfem_body_def *held,
                                   double griffith)
 {
-    const double height = s->kind == STRIP_CENTRED   ? 0.5 + 0.25 / s->n
+    const double height = s->rotate != 0 ? 0.5003
+                          : s->kind == STRIP_CENTRED   ? 0.5 + 0.25 / s->n
                           : s->kind == STRIP_DELAUNAY ? 0.5
                                                       : 0.5 + 0.5 / s->n * (s->n % 2 == 0);
     double from[9] = {STRIP_CRACK, -9, 0, STRIP_CRACK, 9, 0, -9, 0, 0}, to[9];
@@ -289,7 +346,7 @@ BODY_STATIC sfem_body *strip_body(strip *s, const sfem_mesh *mesh, sfem_model *m
     sfem_body *body = NULL;
     sfem_error err;
     sfem_int k;
-    for (k = 0; k < 4 * mesh->tets; ++k) grip[k / 4] |= strip_end(mesh, mesh->tet[k]) != 0;
+    for (k = 0; k < 4 * mesh->tets; ++k) grip[k / 4] |= strip_end(s, mesh, mesh->tet[k]) != 0;
     damage.unbreakable = grip;
     damage.toughness = 1;
     damage.strength *= 2 * griffith * (damage.criterion == SFEM_BREAK_STRESS ? 1e6 : 1);
@@ -304,6 +361,33 @@ BODY_STATIC sfem_body *strip_body(strip *s, const sfem_mesh *mesh, sfem_model *m
     return body;
 }
 
+/* Where it broke. */
+typedef struct strip_path {
+    int count;
+    double weight, x, z, xx, xz, zz;
+} strip_path;
+
+BODY_STATIC void strip_follow(const sfem_body *body, strip_path *p)
+{
+    sfem_int count, k;
+    const sfem_break *b = sfem_body_breaks(body, &count);
+    for (k = 0; k < count; ++k) {
+        const double x = b[k].x[0] - STRIP_CRACK - 0.6, z = b[k].x[2] - 0.5, w = b[k].area;
+        if (fabs(x) > 0.6 || b[k].reason == SFEM_BROKE_BLADE) continue;
+        p->weight += w, p->x += w * x, p->z += w * z, p->xx += w * x * x, p->xz += w * x * z, p->zz += w * z * z;
+        ++p->count;
+    }
+}
+
+BODY_STATIC void strip_path_of(const strip *s, const strip_path *p, strip_result *r)
+{
+    const double w = p->weight, xx = p->xx - p->x * p->x / w, xz = p->xz - p->x * p->z / w, zz = p->zz - p->z * p->z / w;
+    if (p->count < 3) return;
+    r->angle = atan2(xz, xx) * 180 / 3.14159265358979323846;
+    r->rough = sqrt(fmax(zz - xz * xz / xx, 0.0) / w) * s->n;
+    r->area = w / 1.5 / (1.2 * s->thick / s->n);
+}
+
 /* At the speed at which Griffith's displacement takes 0.6 s, 19 crossings of the height by a wave. */
 BODY_STATIC void strip_pull(strip *s, strip_result *r)
 {
@@ -315,29 +399,34 @@ BODY_STATIC void strip_pull(strip *s, strip_result *r)
     sfem_body *body;
     sfem_mesh mesh;
     sfem_error err;
+    strip_path path;
     int k, cut = 0;
     memset(r, 0, sizeof *r);
-    strip_must(strip_mesh(s->kind, s->n, s->thick, s->seed, &mesh, &err), &err);
+    memset(&path, 0, sizeof path);
+    strip_must(s->rotate != 0 ? strip_rotated(s->kind, s->n, s->thick, s->seed, s->rotate, &mesh, &err)
+                              : strip_mesh(s->kind, s->n, s->thick, s->seed, &mesh, &err), &err);
     reactions = (double *)body_new(3 * (size_t)mesh.nodes, sizeof *reactions);
     held.pins = pins = (sfem_int *)body_new((size_t)mesh.nodes, sizeof *pins);
     for (i = 0; i < mesh.nodes; ++i)
-        if (strip_end(&mesh, i)) pins[held.pin_count++] = i;
+        if (strip_end(s, &mesh, i)) pins[held.pin_count++] = i;
     r->griffith = strip_griffith(s, &mesh, &held);
     model = strip_model(s, &mesh);
     body = strip_body(s, &mesh, model, &held, r->griffith);
     for (k = 1; r->parted == 0 && h * k / 0.6 < s->until; ++k) {
         const double way = h * k / 0.6;
         double force;
-        strip_move(body, &mesh, way * r->griffith);
+        strip_move(s, body, &mesh, way * r->griffith);
         strip_must(sfem_body_step(body, h, &err), &err);
-        force = strip_force(body, &mesh, reactions);
+        strip_follow(body, &path);
+        force = strip_force(s, body, &mesh, reactions);
         if (k == 4) cut = (int)sfem_body_fracture(body).broken;
         if (k > 4 && r->first == 0 && sfem_body_fracture(body).broken > cut) r->first = way;
         if (force > most) most = force, r->peak = way;
-        if (strip_parted(body, &mesh)) r->parted = way;
+        if (strip_parted(s, body, &mesh)) r->parted = way;
     }
     r->error = fabs(sfem_body_fracture(body).error) / sfem_body_fracture(body).scale;
     strip_count(body, mesh.nodes, r);
+    strip_path_of(s, &path, r);
     sfem_body_free(body);
     sfem_model_free(model);
     sfem_mesh_free(&mesh);

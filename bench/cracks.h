@@ -1,0 +1,229 @@
+/* cracks.h - bodies whose cracks are known: a double cantilever beam, an L-shaped panel, Kalthoff and Winkler's plate.
+ *
+ *     cracks_dcb(kind, arm, &result)       arm: cells over the height of an arm
+ *     cracks_panel(kind, n, &result)       n: cells over a leg
+ *     cracks_panel_griffith(n)             its load by Griffith's theory, from compliances of two slits
+ *     cracks_impact(kind, n, &result)      n: cells over the plate's height
+ *
+ * All are one cell thick, with x along and z up. Meshes are those of tests/strip.h.
+ */
+#ifndef SFEM_BENCH_CRACKS_H
+#define SFEM_BENCH_CRACKS_H
+
+#include "../tests/strip.h"
+
+typedef struct cracks {
+    sfem_mesh mesh;
+    sfem_model *model;
+    sfem_body *body;
+    sfem_int *pins, pin_count;
+    unsigned char *axes, *tough; /* [pin_count], [tets] 1: does not break */
+    double *reaction;
+    sfem_break *path; /* what broke, but by blades */
+    int count, room;
+} cracks;
+
+typedef struct cracks_result {
+    double load, way;        /* the largest force, N, and the displacement at it, m */
+    double start;            /* displacement at which the crack had grown by a cell, m */
+    double reach;            /* double cantilever beam: length of the crack at the end, m */
+    double expected;         /* and by beam theory */
+    double angle, kink;      /* of the crack, degrees: in all, in its first quarter */
+    double seconds;          /* panel, plate: when it arrived */
+    double end[2];           /* x, z of its end, m */
+    double error;            /* of the energies */
+    int tets, pieces;
+} cracks_result;
+
+BODY_STATIC void cracks_begin(cracks *c)
+{
+    const size_t nodes = (size_t)c->mesh.nodes;
+    c->pins = (sfem_int *)body_new(nodes, sizeof *c->pins);
+    c->axes = (unsigned char *)body_new(nodes, 1);
+    c->tough = (unsigned char *)body_new((size_t)c->mesh.tets, 1);
+    c->reaction = (double *)body_new(3 * nodes, sizeof *c->reaction);
+}
+
+BODY_STATIC void cracks_pin(cracks *c, sfem_int node, int axes)
+{
+    c->axes[c->pin_count] = (unsigned char)axes;
+    c->pins[c->pin_count++] = node;
+}
+
+BODY_STATIC void cracks_make(cracks *c, sfem_material material, double toughness)
+{
+    sfem_model_def def = sfem_default_model_def();
+    sfem_damage_def damage = sfem_default_damage_def();
+    sfem_body_def body = sfem_default_body_def();
+    sfem_error err;
+    def.mesh = &c->mesh;
+    def.material = material;
+    strip_must(sfem_model_create(&def, &c->model, &err), &err);
+    damage.toughness = toughness;
+    damage.unbreakable = c->tough;
+    body.damage = &damage;
+    body.pins = c->pins;
+    body.pin_axes = c->axes;
+    body.pin_count = c->pin_count;
+    strip_must(sfem_body_create(c->model, &body, &c->body, &err), &err);
+}
+
+/* A blade across the thickness, from x = -inf to `to` at height z. */
+BODY_STATIC void cracks_notch(cracks *c, double z, double to)
+{
+    const double far = 100 * c->mesh.x[0] + 100;
+    double from[9] = {to, -far, 0, to, far, 0, -far, 0, 0}, end[9];
+    sfem_error err;
+    int k;
+    memcpy(end, from, sizeof end);
+    for (k = 2; k < 9; k += 3) from[k] = z * (1 - 1e-6), end[k] = z * (1 + 1e-6);
+    strip_must(sfem_body_cut(c->body, from, end, NULL, &err), &err);
+}
+
+BODY_STATIC void cracks_step(cracks *c, double h)
+{
+    sfem_int count, k;
+    sfem_error err;
+    const sfem_break *b;
+    strip_must(sfem_body_step(c->body, h, &err), &err);
+    b = sfem_body_breaks(c->body, &count);
+    for (k = 0; k < count; ++k) {
+        if (b[k].reason == SFEM_BROKE_BLADE) continue;
+        if (c->count == c->room) {
+            c->room = 2 * c->room + 64;
+            c->path = (sfem_break *)realloc(c->path, (size_t)c->room * sizeof *c->path);
+            if (!c->path) exit(2);
+        }
+        c->path[c->count++] = b[k];
+    }
+}
+
+BODY_STATIC void cracks_end(cracks *c, cracks_result *r)
+{
+    const sfem_fracture f = sfem_body_fracture(c->body);
+    r->error = fabs(f.error) / f.scale;
+    r->pieces = (int)f.pieces;
+    r->tets = (int)c->mesh.tets;
+    sfem_body_free(c->body);
+    sfem_model_free(c->model);
+    sfem_mesh_free(&c->mesh);
+    free(c->pins);
+    free(c->axes);
+    free(c->tough);
+    free(c->reaction);
+    free(c->path);
+}
+
+/* The block of strip_block, so high. */
+BODY_STATIC void cracks_block(cracks *c, int kind, int nx, int nz, double height)
+{
+    const int cells[3] = {nx, 1, nz};
+    sfem_error err;
+    sfem_int i;
+    memset(c, 0, sizeof *c);
+    strip_must(strip_block(kind, cells, 3, &c->mesh, &err), &err);
+    for (i = 0; i < 3 * c->mesh.nodes; ++i) c->mesh.x[i] *= height;
+    cracks_begin(c);
+}
+
+/* Mean direction of a path that starts at (x, z), as angle from the x axis, up; of what is nearer than `reach`. */
+BODY_STATIC double cracks_angle(const cracks *c, double x, double z, double reach)
+{
+    double sum[2] = {0, 0};
+    int k;
+    for (k = 0; k < c->count; ++k) {
+        const double dx = c->path[k].x[0] - x, dz = c->path[k].x[2] - z, w = c->path[k].area;
+        if (hypot(dx, dz) > reach) continue;
+        sum[0] += w * dx;
+        sum[1] += w * dz;
+    }
+    return atan2(sum[1], sum[0]) * 180 / 3.14159265358979323846;
+}
+
+/* ---- the double cantilever beam ----
+ *
+ *      ^ ________________________________
+ *     ---------------.                   |   arms of height h = 0.5 m, 5 m long, a crack of a = 2 m, clamped at the end;
+ *        ________________________________|   only tets at mid height break: no side grooves are needed
+ *      v
+ *     G = 12 P^2 (a + chi h)^2/(b^2 E h^3) = 3 E h^3 D^2/(16 (a + chi h)^4), P on each arm, D the opening, and
+ *     chi^2 = E/(11 mu) (3 - 2 (g/(1+g))^2), g = 1.18 E/mu: shear and the elastic root [Hashemi, Kinloch, Williams 1990].
+ */
+#define CRACKS_ARM 0.5
+
+BODY_STATIC double cracks_dcb_root(void)
+{
+    const double over = 2.6, g = 1.18 * over, part = g / (1 + g); /* E/mu at nu = 0.3 */
+    return CRACKS_ARM * sqrt(over / 11 * (3 - 2 * part * part));
+}
+
+/* The opening D at which a crack of length a advances, and the force, for E = 10^6 Pa, Gc = 1 J/m^2, a thickness b. */
+BODY_STATIC double cracks_dcb_opening(double a)
+{
+    const double whole = a + cracks_dcb_root();
+    return sqrt(16 / (3e6 * CRACKS_ARM * CRACKS_ARM * CRACKS_ARM)) * whole * whole;
+}
+
+BODY_STATIC double cracks_dcb_force(double a, double b)
+{
+    return b * sqrt(1e6 * CRACKS_ARM * CRACKS_ARM * CRACKS_ARM / 12) / (a + cracks_dcb_root());
+}
+
+#define CRACKS_DCB_NOTCH 2.0001
+
+BODY_STATIC void cracks_dcb(int kind, int arm, cracks_result *r)
+{
+    const double h = 2.0 / (2 * arm * sqrt(1000.0)), cell = CRACKS_ARM / arm, seconds = 10;
+    const double height = 2 * CRACKS_ARM + cell, z = height / 2 + (kind == STRIP_CENTRED) * cell / 4, most = cracks_dcb_opening(3.2);
+    sfem_material m = sfem_default_material();
+    sfem_error err;
+    sfem_int i;
+    cracks c;
+    int k;
+    memset(r, 0, sizeof *r);
+    cracks_block(&c, kind, 10 * arm, 2 * arm + 1, height);
+    for (i = 0; i < c.mesh.nodes; ++i) {
+        const double *x = c.mesh.x + 3 * (size_t)i;
+        if (x[0] < 1e-9 && fabs(x[2] - z) > 0.3 * cell) cracks_pin(&c, i, SFEM_AXIS_Z);
+        if (x[0] > 5 - 1e-9) cracks_pin(&c, i, SFEM_AXIS_ALL);
+    }
+    for (i = 0; i < c.mesh.tets; ++i) {
+        int far = 1;
+        for (k = 0; k < 4; ++k) far &= fabs(c.mesh.x[3 * (size_t)c.mesh.tet[4 * i + k] + 2] - z) > cell;
+        c.tough[i] = (unsigned char)far;
+    }
+    m.law = SFEM_LINEAR;
+    m.mass_damping = 2;
+    cracks_make(&c, m, 1);
+    cracks_notch(&c, z, CRACKS_DCB_NOTCH);
+    for (k = 1; h * k < seconds; ++k) {
+        const double t = h * k / seconds, way = most * (t < 0.2 ? t * t * 2.5 : t - 0.1) / 0.9; /* softly at first */
+        double force = 0;
+        int j;
+        for (i = 0; i < c.pin_count; ++i) {
+            double to[3];
+            if (c.axes[i] == SFEM_AXIS_ALL) continue;
+            memcpy(to, c.mesh.x + 3 * (size_t)c.pins[i], sizeof to);
+            to[2] += to[2] > z ? way / 2 : -way / 2;
+            strip_must(sfem_body_move_pin(c.body, c.pins[i], to, &err), &err);
+        }
+        cracks_step(&c, h);
+        sfem_body_reactions(c.body, c.reaction);
+        for (i = 0; i < c.pin_count; ++i)
+            if (c.axes[i] != SFEM_AXIS_ALL && c.mesh.x[3 * (size_t)c.pins[i] + 2] > z) force += c.reaction[3 * (size_t)c.pins[i] + 2];
+        for (j = 0; j < c.count; ++j) r->reach = fmax(r->reach, c.path[j].x[0] + cell / 2);
+        if (r->reach > CRACKS_DCB_NOTCH + cell) {
+            if (r->start == 0) r->start = way;
+        } else if (force > r->load) {
+            r->load = force;
+            r->way = way;
+        }
+        r->expected = pow(3e6 * 0.125 * way * way / 16, 0.25) - cracks_dcb_root();
+#ifdef CRACKS_TRACE
+        if (k % 100 == 0) printf("   t %.3f way %.5f force %.5f (beam %.5f) reach %.3f expected %.3f\n", h * k, way, force, cracks_dcb_force(fmax(r->reach, 2), cell), r->reach, r->expected);
+#endif
+    }
+    cracks_end(&c, r);
+}
+
+#endif
