@@ -22683,7 +22683,7 @@ static void sfemi_damage_cool(sfemi_damage *d)
 }
 
 /* Lists the edges of a tet. */
-static void sfemi_damage_list(sfemi_damage *d, sfem_int e)
+static void sfemi_damage_list_edges(sfemi_damage *d, sfem_int e)
 {
     const sfem_int *edge = d->bonds->tet_edge + 6 * (size_t)e;
     int k;
@@ -22767,7 +22767,7 @@ static void sfemi_damage_list_near(sfemi_damage *d)
             if (d->in_patch[e]) continue;
             d->in_patch[e] = 1;
             d->weigh[d->weighed++] = e;
-            sfemi_damage_list(d, e);
+            sfemi_damage_list_edges(d, e);
         }
         for (k = 0; k < 2; ++k) {
             const sfem_int node = g->end[2 * d->near[i] + k];
@@ -23418,7 +23418,7 @@ static void sfemi_damage_survey(sfemi_damage *d, sfemi_damage_round_job *job)
     d->at[0] = job->step->u0;
     d->at[1] = job->step->u1;
     sfemi_damage_look(d);
-    for (i = 0; i < d->watched; ++i) sfemi_damage_list(d, d->watch[i]);
+    for (i = 0; i < d->watched; ++i) sfemi_damage_list_edges(d, d->watch[i]);
     job->first = 0;
     sfemi_damage_run(sfemi_damage_strain_task, d->knowns, job);
     sfemi_damage_run(sfemi_damage_candidate_task, d->watched, job);
@@ -30063,12 +30063,8 @@ static sfem_real sfemi_fracture_work(sfem_body *b)
     const sfemi_step t = b->step;
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     const int loaded = s->head->loaded;
-<<<<<<< HEAD
     const sfem_real half1 = s->head->started == SFEMI_RUNNING ? s->head->h / 2 : 0, half = t.h / 2;
-    sfem_real work = g->rejected ? sfemi_safeguard_held_work(b) : 0;
-=======
     sfem_real work = g->rejected ? sfemi_safeguard_held_work(b) : 0, force;
->>>>>>> refs/x/q
     sfem_int k, l;
     size_t i;
     int c;
