@@ -41588,7 +41588,7 @@ static void sfemi_impact_column(const sfemi_impact *m, sfem_int i, int axis, sfe
     const sfem_modal *b = m->modal;
     const size_t stride = sfemi_contact_stride(count), s3 = 3 * b->stride, column = 3 * (size_t)i + (size_t)axis;
     const sfem_real *row = m->rows + (size_t)i * s3 + (size_t)axis * b->stride;
-    const sfem_real mass = b->reduced->head->mass, unit[3] = {axis == 0, axis == 1, axis == 2};
+    const sfem_real mass = b->reduced->head->mass, unit[3] = {axis == 0 ? 1.0 : 0.0, axis == 1 ? 1.0 : 0.0, axis == 2 ? 1.0 : 0.0};
     const int loose = b->reduced->head->free;
     sfem_real turn[3], spin[3] = {0, 0, 0};
     sfem_int j;
