@@ -42405,19 +42405,34 @@ static void sfemi_impact_set_out(sfemi_impact *m)
     sfemi_rotated_vector(m->inverse, b->head->momentum, m->spin);
 }
 
-/* Of the frame: what an impulse at arm `from` does to the velocity at arm `to`. */
-static void sfemi_impact_frame_block(const sfemi_impact *m, const sfem_real *from, const sfem_real *to, sfem_real block[9])
+/* Column `axis` of node i of the compact G, from node i on, and the row that is the same. */
+static void sfemi_impact_column(const sfemi_impact *m, sfem_int i, int axis, sfem_int count, float *g)
 {
-    const sfem_real mass = m->modal->reduced->head->mass;
-    int a, k;
-    for (a = 0; a < 3; ++a) { /* column a */
-        sfem_real turn[3] = {0, 0, 0}, unit[3] = {0, 0, 0}, spin[3], v[3];
-        unit[a] = 1;
-        sfemi_cross(from, unit, turn);
+    const sfem_modal *b = m->modal;
+    const size_t stride = sfemi_contact_stride(count), s3 = 3 * b->stride, column = 3 * (size_t)i + (size_t)axis;
+    const sfem_real *row = m->rows + (size_t)i * s3 + (size_t)axis * b->stride;
+    const sfem_real mass = b->reduced->head->mass, unit[3] = {axis == 0 ? 1.0 : 0.0, axis == 1 ? 1.0 : 0.0, axis == 2 ? 1.0 : 0.0};
+    const int loose = b->reduced->head->free;
+    sfem_real turn[3], spin[3] = {0, 0, 0};
+    sfem_int j;
+    size_t k;
+    int e;
+    for (k = 0; k < b->stride; ++k) m->load[k] = k < b->m ? m->response[k] * row[k] : 0;
+    if (loose) {
+        sfemi_cross(m->arm + 3 * (size_t)i, unit, turn);
         sfemi_rotated_vector(m->inverse, turn, spin);
-        sfemi_cross(spin, to, v);
-        for (k = 0; k < 3; ++k) block[3 * k + a] = m->part * (v[k] + (k == a ? 1 / mass : 0));
     }
+    for (j = i; j < count; ++j) {
+        sfem_real v[3];
+        b->kernels->dot3(b->stride, m->rows + (size_t)j * s3, m->load, v);
+        if (loose) sfemi_cross(spin, m->arm + 3 * (size_t)j, turn);
+        for (e = 0; e < 3; ++e) {
+            if (loose) v[e] += m->part * (turn[e] + unit[e] / mass);
+            g[column * stride + 3 * (size_t)j + (size_t)e] = (float)v[e];
+            g[(3 * (size_t)j + (size_t)e) * stride + column] = (float)v[e];
+        }
+    }
+    for (k = 3 * (size_t)count; k < stride; ++k) g[column * stride + k] = 0;
 }
 
 /* The compact G of its nodes, of the present kind of system. */
@@ -42428,9 +42443,8 @@ static sfem_status sfemi_impact_gather(sfem_contact *c, sfemi_touch *t, sfem_int
     const size_t stride = sfemi_contact_stride(count), s3 = 3 * b->stride;
     const int64_t key = 4 * c->step + 1 + (m->kind == SFEMI_IMPACT_STICK ? (int64_t)SFEMI_IMPACT_STRIKE : (int64_t)m->kind);
     sfem_status status = SFEM_OK;
-    sfem_int i, j;
-    size_t k;
-    int a, e, same = t->g_of == key && t->g_nodes == count;
+    sfem_int i;
+    int a, same = t->g_of == key && t->g_nodes == count;
     for (i = 0; same && i < count; ++i) same = t->g_node[i] == c->node[first + i].node;
     if (!same) {
         t->g_of = 0;
@@ -42448,25 +42462,8 @@ static sfem_status sfemi_impact_gather(sfem_contact *c, sfemi_touch *t, sfem_int
         sfemi_impact_rows(m, t->g_node[i], m->rows + (size_t)i * s3);
         sfemi_sub3(t->x0 + 3 * (size_t)t->place_of[t->g_node[i]], sfemi_impact_head(m->start)->rigid.x, m->arm + 3 * (size_t)i);
     }
-    for (i = 0; !same && i < count; ++i) {
-        float *g = t->g + 3 * (size_t)i * stride;
-        memset(g, 0, 3 * stride * sizeof *g);
-        for (a = 0; a < 3; ++a) {
-            for (k = 0; k < b->stride; ++k)
-                m->load[k] = k < b->m ? m->response[k] * m->rows[(size_t)i * s3 + (size_t)a * b->stride + k] : 0;
-            for (j = 0; j < count; ++j) {
-                sfem_real v[3];
-                b->kernels->dot3(b->stride, m->rows + (size_t)j * s3, m->load, v);
-                for (e = 0; e < 3; ++e) g[(size_t)a * stride + 3 * (size_t)j + (size_t)e] = (float)v[e];
-            }
-        }
-        for (j = 0; b->reduced->head->free && j < count; ++j) {
-            sfem_real block[9];
-            sfemi_impact_frame_block(m, m->arm + 3 * (size_t)i, m->arm + 3 * (size_t)j, block);
-            for (a = 0; a < 3; ++a)
-                for (e = 0; e < 3; ++e) g[(size_t)a * stride + 3 * (size_t)j + (size_t)e] += (float)block[3 * e + a];
-        }
-    }
+    for (i = 0; !same && i < count; ++i)
+        for (a = 0; a < 3; ++a) sfemi_impact_column(m, i, a, count, t->g);
     t->g_nodes = count;
     t->g_of = key;
     t->own_bytes = sizeof *m + 2 * b->small_bytes + (4 * b->stride + m->row_room + m->arm_room) * sizeof(sfem_real);

@@ -2,7 +2,6 @@
 #include "support.h"
 
 #include "bodies.h"
-#include "linear.h"
 
 #define GRAVITY 9.81
 
@@ -392,7 +391,6 @@ static void fast_balls_do_not_pass_thin_plates(void **unused)
         }
         memcpy(x, sfem_modal_rigid(s.body).x, sizeof x);
         assert_true(isfinite(x[0]) && isfinite(x[1]) && isfinite(x[2]));
-        print_message("%g m/s, %g Pa: %g m\n", speeds[i], young[i], x[2]);
         if (speeds[i] <= 30) assert_true(x[2] > 0.05);
         drop(&s);
     }
@@ -428,8 +426,6 @@ static void moving_plates_give_no_more_than_their_work(void **unused)
         sfem_contact_obstacle_force(s.contact, id, force, torque);
         lowest = fmax(lowest, force[2]);
     }
-    print_message("force %g N, moved %g J, penetration %g\n", lowest, sfem_contact_get_info(s.contact).moved,
-                  sfem_contact_get_info(s.contact).penetration);
     assert_true(lowest > s.mass * GRAVITY && sfem_contact_get_info(s.contact).moved > 0);
     drop(&s);
 }
@@ -474,8 +470,6 @@ static void overlaps_are_pushed_out_slowly(void **unused)
         step(&s, 1.0 / 60);
         fastest = fmax(fastest, fabs(sfem_modal_rigid(s.body).v[2]));
     }
-    print_message("pushed: fastest %g, penetration %g, moved %g\n", fastest, sfem_contact_get_info(s.contact).penetration,
-                  sfem_contact_get_info(s.contact).moved);
     assert_true(sfem_contact_get_info(s.contact).penetration < 1e-4);
     assert_true(fastest < 0.2); /* a shift, no velocity */
     assert_near(sfem_contact_get_info(s.contact).moved, s.mass * GRAVITY * 0.05, 0.1, 0);
@@ -534,7 +528,6 @@ static void all_modes_are_the_linear_body(void **unused)
     }
     sfem_contact_obstacle_force(s.contact, id[0], force[0], torque);
     sfem_contact_obstacle_force(contact, id[1], force[1], torque);
-    print_message("forces %g %g\n", force[0][2], force[1][2]);
     assert_true(force[1][2] > 1);
     for (c = 0; c < 3; ++c) assert_near(force[0][c], force[1][c], 0, 1e-3 * force[1][2]);
     for (i = 0; i < s.mesh.nodes; ++i) {
@@ -546,7 +539,6 @@ static void all_modes_are_the_linear_body(void **unused)
             difference = fmax(difference, fabs(x[c] - s.mesh.x[3 * i + c] - u));
         }
     }
-    print_message("difference %g of %g\n", difference, largest);
     assert_true(largest > 5e-3 && difference < 1e-3 * largest);
     sfem_contact_free(contact);
     sfem_body_free(body);
@@ -557,7 +549,7 @@ static void all_modes_are_the_linear_body(void **unused)
  * other meshes, other ways to be held
  * -------------------------------------------------------------------------------------------- */
 
-static void fall(sfem_mesh mesh, double young, double speed, const char *name)
+static void fall(sfem_mesh mesh, double young, double speed)
 {
     options o = usual(young);
     const double h = 1.0 / 60;
@@ -573,8 +565,6 @@ static void fall(sfem_mesh mesh, double young, double speed, const char *name)
         assert_true(energy(&s) <= start * (1 + 1e-9) + sfem_contact_get_info(s.contact).moved);
         deepest = fmax(deepest, sfem_contact_get_info(s.contact).penetration);
     }
-    print_message("%s, %g Pa, %g m/s: penetration %g of %g\n", name, young, speed, deepest,
-                  sfem_contact_get_info(s.contact).penetration);
     assert_true(speed > 0 ? deepest < 0.1 : deepest < 2e-3);
     drop(&s);
 }
@@ -588,7 +578,7 @@ static void a_body_with_slivers_is_dropped_and_thrown(void **unused)
         sfem_mesh mesh;
         sfem_error err;
         assert_ok(body_scattered(800, 0.01, 3, &mesh, &err), err);
-        fall(mesh, young[i], speed[i], "scattered");
+        fall(mesh, young[i], speed[i]);
     }
 }
 
@@ -607,7 +597,7 @@ static void a_mesh_of_the_mesher_is_dropped(void **unused)
     (void)unused;
     def.tets = 3000;
     assert_ok(sfem_mesh_from_sdf(&def, wavy, NULL, (const sfem_real(*)[3])box, &mesh, NULL, &err), err);
-    fall(mesh, 3e5, 0, "mesher's");
+    fall(mesh, 3e5, 0);
 }
 
 /* Meshes of others, made as large as a metre. */
@@ -627,7 +617,7 @@ static void meshes_of_files_are_dropped(void **unused)
         sfem_mesh_orient(&mesh);
         for (i = 3; i < 3 * mesh.nodes; ++i) size = fmax(size, fabs(mesh.x[i] - mesh.x[i % 3]));
         for (i = 0; i < 3 * mesh.nodes; ++i) mesh.x[i] /= size;
-        fall(mesh, 1e6, 0, name[k]);
+        fall(mesh, 1e6, 0);
     }
 }
 
@@ -663,8 +653,6 @@ static void a_clamped_bar_stops_on_a_box(void **unused)
             deepest = fmax(deepest, sfem_contact_get_info(s.contact).penetration);
         }
         sfem_contact_obstacle_force(s.contact, s.floor, force, torque);
-        print_message("%d modes: force %g N, penetration %g, kinetic %g\n", (int)modes[i], force[2], deepest,
-                      sfem_modal_get_info(s.body).kinetic);
         assert_true(force[2] < 0 && -force[2] < 10 * 9.81); /* it bears a part of 10 kg */
         assert_true(deepest < 2e-3);
         assert_true(sfem_modal_get_info(s.body).kinetic < 1e-3);
@@ -697,8 +685,6 @@ static void all_integrators_touch(void **unused)
             if (i < 3) assert_true(energy(&s) <= start * (1 + 1e-9) + sfem_contact_get_info(s.contact).moved);
             deepest = fmax(deepest, sfem_contact_get_info(s.contact).penetration);
         }
-        print_message("integrator %d, %d handles: penetration %g, kinetic %g\n", (int)(i % 3), i >= 3, deepest,
-                      sfem_modal_get_info(s.body).kinetic);
         assert_true(deepest < 1e-3 && sfem_contact_get_info(s.contact).contacts > 0);
         assert_true(sfem_modal_get_info(s.body).kinetic < 0.05);
         drop(&s);

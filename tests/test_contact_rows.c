@@ -188,7 +188,6 @@ static void the_matrix_of_forces_is_what_steps_do(void **unused)
                     }
                 }
             }
-            print_message("integrator %d, pinned %d: off by %g of %g\n", i, pinned, worst, largest);
             assert_true(worst < (pinned ? 1e-6 : 0.01) * largest);
             drop(&s);
         }
@@ -416,8 +415,6 @@ static void a_row_over_two_bodies_is_the_dense_system(void **unused)
     assert_ok(sfem_contact_step(p.contact, h, &err), err);
     assert_int_equal(p.contact->touch[0].rows, 1);
     now = p.contact->touch[0].row;
-    print_message("impulse %g %g %g, dense %g %g %g, gap %g\n", now->impulse[0], now->impulse[1], now->impulse[2], l[0], l[1],
-                  l[2], now->gap);
     assert_all_near(now->impulse, l, 3, 1e-6, 0);
     assert_near(now->gap, 0, 0, 1e-9);
     momentum(&p, before, h, sum[1]);
