@@ -329,10 +329,11 @@ function drawArrow(g, x, force) {
   g.font = "600 15px system-ui, sans-serif";
   g.lineWidth = 4;
   g.strokeStyle = dark() ? "#0d1117" : "#fff";
-  const right = dx >= 0 || flat < 12, at = [to[0] + (right ? 12 : -12), to[1] - 8];
-  g.textAlign = right ? "left" : "right";
-  g.strokeText(number(size) + " N", ...at);
-  g.fillText(number(size) + " N", ...at);
+  g.textAlign = "left";
+  const text = number(size) + " N", wide = g.measureText(text).width, right = dx >= 0 || flat < 12;
+  const left = Math.max(4, Math.min(over.clientWidth - wide - 4, right ? to[0] + 12 : to[0] - 12 - wide)); /* on the screen */
+  g.strokeText(text, left, to[1] - 8);
+  g.fillText(text, left, to[1] - 8);
 }
 
 /* ------------------------------------------------------------------------------------------
