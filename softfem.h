@@ -33251,7 +33251,8 @@ static int sfemi_contact_face_meets(const sfemi_touch *t, const sfemi_obstacle *
         if (k < times) sfemi_contact_face_at(t, o, tri, w, share * h, share, corner);
         else sfemi_contact_face_at(t, o, tri, w, h, 1, corner);
         for (c = 0; c < 3; ++c) middle[c] = (corner[c] + corner[3 + c] + corner[6 + c]) / 3;
-        if (o->safe * sfemi_obstacle_distance(o, middle, n) > size) continue;
+        if (times > 1) s = sfemi_obstacle_distance(o, middle, n); /* else it is the same point */
+        if (o->safe * s > size) continue;
         for (c = 0; c < 3; ++c) nodes = fmin(nodes, sfemi_obstacle_distance(o, corner + 3 * c, n));
         nodes = fmin(nodes - 0.02 * size, -1e-3 * t->edge);
         if (sfemi_contact_face_depth(o, corner, size, nodes, weight) < nodes) return 1;
