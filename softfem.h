@@ -14840,33 +14840,34 @@ static double sfemi_path_lengths(const sfem_ldl *ldl, size_t *deep)
     return most;
 }
 
-/* Up to 8 columns: of axis[r] of node[r], to out[r], from the root's unknowns down. work: sfem_ldl_work_size of 8;
- * mark [supernodes], 0 before and after. */
-static void sfemi_path_columns(const sfem_ldl *ldl, const size_t *deep, sfem_int count, const sfem_int *node,
-                               const int *axis, sfem_real *work, unsigned char *mark, float *const *out)
+/* Up to 8 columns: of the unknowns unit[r], in the order of A, to out[r], from the root's unknowns down. work:
+ * sfem_ldl_work_size of 8; mark [supernodes], 0 before and after. */
+static void sfemi_path_columns(const sfem_ldl *ldl, const size_t *deep, sfem_int count, const size_t *unit,
+                               sfem_real *work, unsigned char *mark, float *const *out)
 {
     const sfemi_symbolic *y = ldl->symbolic;
     const size_t block = SFEMI_SOLVE_BLOCK;
     sfemi_solve q;
-    sfem_int r, s;
+    sfem_int start[SFEMI_SOLVE_BLOCK], r, s;
     size_t i;
+    for (r = 0; r < count; ++r) start[r] = sfemi_path_start(ldl, (sfem_int)(unit[r] / y->per));
     sfemi_solve_set_up(&q, ldl, SFEMI_SOLVE_BLOCK, work);
     q.mark = mark;
     for (r = 0; r < count; ++r)
-        for (s = sfemi_path_start(ldl, node[r]); s >= 0 && !mark[s]; s = y->parent[s]) {
+        for (s = start[r]; s >= 0 && !mark[s]; s = y->parent[s]) {
             const size_t at = block * y->per * (size_t)y->first[s], n = block * y->per * (size_t)(y->first[s + 1] - y->first[s]);
             mark[s] = 1;
             if (ldl->mixed) memset(q.w32 + at, 0, n * sizeof *q.w32);
             else memset(q.w + at, 0, n * sizeof *q.w);
         }
     for (r = 0; r < count; ++r) {
-        const size_t at = block * (y->per * (size_t)y->inverse[node[r]] + (size_t)axis[r]) + (size_t)r;
+        const size_t at = block * (y->per * (size_t)y->inverse[unit[r] / y->per] + unit[r] % y->per) + (size_t)r;
         if (ldl->mixed) q.w32[at] = 1;
         else q.w[at] = 1;
     }
     for (s = 0; s < y->tasks; ++s) (ldl->mixed ? sfemi_solve_forward32 : sfemi_solve_forward)(&q, s);
     for (r = 0; r < count; ++r)
-        for (s = sfemi_path_start(ldl, node[r]); s >= 0; s = y->parent[s]) {
+        for (s = start[r]; s >= 0; s = y->parent[s]) {
             const size_t from = y->per * (size_t)y->first[s], n = y->per * (size_t)(y->first[s + 1] - y->first[s]);
             float *to = out[r] + deep[s] - n;
             for (i = 0; i < n; ++i)
@@ -14874,7 +14875,7 @@ static void sfemi_path_columns(const sfem_ldl *ldl, const size_t *deep, sfem_int
                                    : (float)q.w[block * (from + i) + (size_t)r];
         }
     for (r = 0; r < count; ++r)
-        for (s = sfemi_path_start(ldl, node[r]); s >= 0; s = y->parent[s]) mark[s] = 0;
+        for (s = start[r]; s >= 0; s = y->parent[s]) mark[s] = 0;
 }
 
 /* How much of the columns of nodes in these supernodes is of the same unknowns. */
@@ -33689,7 +33690,8 @@ static int sfemi_contact_face_meets(const sfemi_touch *t, const sfemi_obstacle *
         if (k < times) sfemi_contact_face_at(t, o, tri, w, share * h, share, corner);
         else sfemi_contact_face_at(t, o, tri, w, h, 1, corner);
         for (c = 0; c < 3; ++c) middle[c] = (corner[c] + corner[3 + c] + corner[6 + c]) / 3;
-        if (o->safe * sfemi_obstacle_distance(o, middle, n) > size) continue;
+        if (times > 1) s = sfemi_obstacle_distance(o, middle, n); /* else it is the same point */
+        if (o->safe * s > size) continue;
         for (c = 0; c < 3; ++c) nodes = fmin(nodes, sfemi_obstacle_distance(o, corner + 3 * c, n));
         nodes = fmin(nodes - 0.02 * size, -1e-3 * t->edge);
         if (sfemi_contact_face_depth(o, corner, size, nodes, weight) < nodes) return 1;
@@ -34027,9 +34029,10 @@ static sfem_status sfemi_columns_make(sfem_contact *c, const sfemi_touch *t, con
 {
     sfemi_columns *k = t->columns;
     sfem_status status = SFEM_OK;
-    sfem_int node[8], i, lanes = 0;
-    float *out[8];
-    int axis[8], a;
+    size_t unit[SFEMI_SOLVE_BLOCK];
+    float *out[SFEMI_SOLVE_BLOCK];
+    sfem_int i, lanes = 0;
+    int a;
     if (k->factor->ldl)
         SFEMI_CONTACT_ROOM(c, c->work, c->work_room, sfem_ldl_work_size(k->factor->ldl, SFEMI_SOLVE_BLOCK));
     for (i = 0; i < count; ++i) {
@@ -34045,12 +34048,11 @@ static sfem_status sfemi_columns_make(sfem_contact *c, const sfemi_touch *t, con
         for (a = 0; a < k->axes; ++a) {
             const sfem_int at = which[i];
             if (k->free[at] >= 0 && (k->axes == 1 || !(k->factor->mask[k->node[at]] >> a & 1))) {
-                node[lanes] = k->free[at];
-                axis[lanes] = a;
+                unit[lanes] = (size_t)k->axes * (size_t)k->free[at] + (size_t)a;
                 out[lanes++] = k->at[at] + (size_t)a * sfemi_columns_length(k, at);
             }
-            if (lanes < 8 && !(lanes && i + 1 == count && a + 1 == k->axes)) continue;
-            sfemi_path_columns(k->factor->ldl, k->deep, lanes, node, axis, c->work, k->mark, out);
+            if (lanes < SFEMI_SOLVE_BLOCK && !(lanes && i + 1 == count && a + 1 == k->axes)) continue;
+            sfemi_path_columns(k->factor->ldl, k->deep, lanes, unit, c->work, k->mark, out);
             lanes = 0;
         }
 done:
