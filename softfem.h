@@ -31171,17 +31171,23 @@ static sfem_real sfemi_body_span(const sfem_body *b)
 /* ---- forces of one step, F1
  *
  * Methods that keep the mean velocity w take h F1 as an impulse, on the right side; KR-alpha of linear bodies, whose
- * next step takes a part of a back, as w + M^-1 h F1 at the start. The others have accelerations at both ends of the
+ * next step takes a part of a back, as w + M^-1 h F1 at the start, and so impulses. The others have accelerations at both ends of the
  * step: a spike of one step would leave a part of h F1 to the next step, and another part where its length differs. So
  * F1 is constant over the step, and a jumps at both of its ends:
  *     a+ = a + M^-1 F1,   the step from a+ under F + F1,   a = a' - M^-1 F1 from then on ---- */
 
+/* Do impulses change the velocity that a step starts from? */
+static int sfemi_body_jumps(const sfem_body *b) { return b->scheme.lagging && !b->scheme.rotates; }
+
 static void sfemi_step_force_find_jump(sfem_body *b)
 {
-    b->step.jumps = b->state.head->step_forces && (!b->scheme.mean || (b->scheme.lagging && !b->scheme.rotates));
-    if (b->state.head->step_forces) sfemi_sleep_wake_up(b);
+    const int forces = b->state.head->step_forces, kicks = b->kicked && sfemi_body_jumps(b);
+    size_t i;
+    b->step.jumps = (forces && !b->scheme.mean) || ((forces || kicks) && sfemi_body_jumps(b));
+    if (forces) sfemi_sleep_wake_up(b);
     if (!b->step.jumps) return;
-    memcpy(b->rhs, b->state.step_force, 3 * (size_t)b->model->mesh.nodes * sizeof *b->rhs);
+    for (i = 0; i < 3 * (size_t)b->model->mesh.nodes; ++i)
+        b->rhs[i] = (forces ? b->state.step_force[i] : 0) + (kicks ? b->kick[i] / b->step.h : 0);
     sfemi_body_mass_solve(b, b->jump);
 }
 
@@ -31239,11 +31245,12 @@ SFEM_DEF sfem_status sfem_body_predict(sfem_body *b, sfem_real h, sfem_error *er
     sfem_status status;
     SFEM_ASSERT(b);
     b->rotated.by_hand = 1;
+    b->kicked = 0;
     status = sfemi_body_predict(b, h, err);
     if (status != SFEM_OK) return status;
     memcpy(b->predicted, b->rhs, bytes);
     memset(b->late, 0, bytes); /* add_impulse adds to it, and the workspace is another body's before */
-    b->is_late = b->kicked = 0;
+    b->is_late = 0;
     sfemi_step_force_apply(b);
     return SFEM_OK;
 }
@@ -31412,13 +31419,14 @@ SFEM_DEF sfem_status sfem_body_add_impulse(sfem_body *b, sfem_int node, const sf
     if (status != SFEM_OK) return status;
     if (b->phase == SFEMI_IDLE)
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "an impulse is added between sfem_body_predict and _finish");
-    to = (b->phase == SFEMI_PREDICTED ? b->rhs : b->late) + 3 * (size_t)node;
-    for (c = 0; c < 3; ++c) sum[c] = to[c] + j[c] / sfemi_body_span(b);
-    if (!sfemi_all_finite(sum, 3)) return sfemi_body_check_node(b, node, sum, "impulse", err);
-    memcpy(to, sum, sizeof sum);
-    if (b->phase == SFEMI_SOLVED) b->is_late = 1;
     if (!b->kicked) memset(b->kick, 0, 3 * (size_t)b->model->mesh.nodes * sizeof *b->kick);
+    to = (sfemi_body_jumps(b) ? b->kick : b->phase == SFEMI_PREDICTED ? b->rhs : b->late) + 3 * (size_t)node;
+    for (c = 0; c < 3; ++c) sum[c] = to[c] + (sfemi_body_jumps(b) ? j[c] : j[c] / sfemi_body_span(b));
+    if (!sfemi_all_finite(sum, 3)) return sfemi_body_check_node(b, node, sum, "impulse", err);
     b->kicked = 1;
+    if (b->phase == SFEMI_SOLVED || sfemi_body_jumps(b)) b->is_late = 1; /* finish solves again, with the jump */
+    memcpy(to, sum, sizeof sum);
+    if (sfemi_body_jumps(b)) return SFEM_OK;
     for (c = 0; c < 3; ++c) b->kick[3 * (size_t)node + (size_t)c] += j[c];
     return SFEM_OK;
 }
