@@ -1976,6 +1976,8 @@ SFEM_DEF void sfem_body_fragment_positions(sfem_body *body, const sfem_fragments
  *   Momentum the impulses of a step are what the momentum of a free body changes by beside its loads, also in a rejected
  *            step, to rounding but for torques that few points cannot bear
  *   Inside   nodes inside of a body that is not broken do not touch: one that is pressed flat may have them in the obstacle
+ *   Crushed  a neo-Hookean block of smooth tets, nu 0.49, pressed below 42 % of its height, finds no step that makes no
+ *            energy, and stays as it is while the plates go on into it
  *   Faces    so are obstacles that meet a face of the body between its nodes: small ones, corners, edges, peaks
  *   Threads  as the bodies have them; results have the same bits for any number */
 typedef struct sfem_contact sfem_contact;
