@@ -207,11 +207,126 @@ static void a_body_has_one_contact_and_a_plane_a_normal(void **unused)
     drop(&s);
 }
 
+/* A block of irregular tets, slivers among them, on an incline of 20 and 26 degrees, mu = 0.5: nodes of its inside are moved
+ * at random as far as volumes stay positive. The second half of 5 s: no creep beyond 1e-5 m, no step rejected. */
+static void irregular_blocks_do_not_creep(void **unused)
+{
+    static const double degrees[] = {20, 26};
+    size_t i;
+    (void)unused;
+    for (i = 0; i < TEST_COUNT(degrees); ++i) {
+        static const sfem_int cells[3] = {4, 4, 4};
+        static const sfem_real size[3] = {0.5, 0.5, 0.5}, none[3] = {0, 0, 0};
+        const double angle = degrees[i] * TEST_PI / 180;
+        const sfem_real normal[3] = {sin(angle), 0, cos(angle)};
+        sfem_model_def md = sfem_default_model_def();
+        sfem_body_def def = sfem_default_body_def();
+        sfem_obstacle_def plane = sfem_obstacle_plane(normal, none);
+        test_random random = {5};
+        double worst = 0, flattest = 1;
+        sfem_real *before = NULL;
+        sfem_error err;
+        sfem_int j;
+        scene s;
+        int k, c;
+        memset(&s, 0, sizeof s);
+        assert_ok(sfem_mesh_block(cells, size, SFEM_CELL_5_TETS, NULL, &s.mesh, &err), err);
+        for (j = 0; j < s.mesh.nodes; ++j) {
+            sfem_real *x = s.mesh.x + 3 * j;
+            int inside = 1;
+            for (c = 0; c < 3; ++c) inside &= x[c] > 1e-9 && x[c] < 0.5 - 1e-9;
+            for (c = 0; inside && c < 3; ++c) x[c] += random_uniform(&random, -0.3, 0.3) * 0.125;
+        }
+        for (j = 0; j < s.mesh.tets; ++j) { /* volume over that of a regular tet of the longest edge */
+            const sfem_int *tet = s.mesh.tet + 4 * j;
+            double e[3][3], longest = 0, volume;
+            int a, b;
+            for (a = 0; a < 4; ++a)
+                for (b = 0; b < a; ++b) {
+                    double square = 0;
+                    for (c = 0; c < 3; ++c) {
+                        const double d = s.mesh.x[3 * tet[a] + c] - s.mesh.x[3 * tet[b] + c];
+                        square += d * d;
+                        if (b == 0) e[a - 1][c] = d;
+                    }
+                    longest = fmax(longest, sqrt(square));
+                }
+            volume = (e[0][0] * (e[1][1] * e[2][2] - e[1][2] * e[2][1]) - e[0][1] * (e[1][0] * e[2][2] - e[1][2] * e[2][0]) +
+                      e[0][2] * (e[1][0] * e[2][1] - e[1][1] * e[2][0])) / 6;
+            assert_true(volume > 0);
+            flattest = fmin(flattest, volume * 6 * sqrt(2.0) / (longest * longest * longest));
+        }
+        assert_true(flattest < 0.1);
+        for (j = 0; j < s.mesh.nodes; ++j) {
+            sfem_real *x = s.mesh.x + 3 * j;
+            const double a = x[0], b = x[2];
+            x[0] = cos(angle) * a + sin(angle) * b;
+            x[2] = -sin(angle) * a + cos(angle) * b;
+        }
+        md.mesh = &s.mesh;
+        md.material.young = 1e6;
+        md.material.stiffness_damping = 0.01;
+        def.gravity[2] = -9.81;
+        assert_ok(sfem_model_create(&md, &s.model, &err), err);
+        assert_ok(sfem_body_create(s.model, &def, &s.body, &err), err);
+        assert_ok(sfem_contact_create(NULL, &s.contact, &err), err);
+        assert_ok(sfem_contact_add_body(s.contact, s.body, NULL, ~0u, NULL, &err), err);
+        (void)add_obstacle(&s, &plane);
+        before = (sfem_real *)malloc(3 * (size_t)s.mesh.nodes * sizeof *before);
+        for (k = 0; k < 300; ++k) {
+            if (k == 150) memcpy(before, sfem_body_displacement(s.body), 3 * (size_t)s.mesh.nodes * sizeof *before);
+            assert_ok(sfem_contact_step(s.contact, 1.0 / 60, &err), err);
+        }
+        for (j = 0; j < 3 * s.mesh.nodes; ++j) worst = fmax(worst, fabs(sfem_body_displacement(s.body)[j] - before[j]));
+        assert_true(worst < 1e-5);
+        assert_int_equal(sfem_body_get_info(s.body).rejected, 0);
+        free(before);
+        drop(&s);
+    }
+}
+
+/* Obstacles of points that are not finite are refused, and the world goes on. */
+static void obstacles_of_no_finite_points_are_refused(void **unused)
+{
+    const sfem_body_def def = sfem_default_body_def();
+    sfem_real heights[4] = {0, 0, NAN, 0};
+    sfem_obstacle_def o = sfem_default_obstacle_def();
+    scene s = block_of(1, 1, 1e6, 0, &def);
+    sfem_surface surface;
+    sfem_real *x;
+    sfem_error err;
+    (void)unused;
+    o.kind = SFEM_OBSTACLE_HEIGHTS;
+    o.size[0] = o.size[1] = 1;
+    o.cells[0] = o.cells[1] = 2;
+    o.heights = heights;
+    assert_status(sfem_contact_add_obstacle(s.contact, &o, NULL, &err), SFEM_NOT_FINITE);
+    assert_ok(sfem_mesh_surface(&s.mesh, NULL, &surface, &err), err);
+    x = (sfem_real *)malloc(3 * (size_t)s.mesh.nodes * sizeof *x);
+    memcpy(x, s.mesh.x, 3 * (size_t)s.mesh.nodes * sizeof *x);
+    x[4] = NAN;
+    o = sfem_default_obstacle_def();
+    o.kind = SFEM_OBSTACLE_SURFACE;
+    surface.x = x;
+    surface.nodes = s.mesh.nodes;
+    o.surface = &surface;
+    assert_status(sfem_contact_add_obstacle(s.contact, &o, NULL, &err), SFEM_NOT_FINITE);
+    assert_ok(sfem_contact_step(s.contact, 1.0 / 60, &err), err);
+    assert_int_equal(sfem_contact_get_info(s.contact).contacts, 0);
+    free(x);
+    surface.x = NULL;
+    surface.nodes = 0;
+    sfem_surface_free(&surface);
+    drop(&s);
+}
+
 int main(void)
 {
     static const struct CMUnitTest tests[] = {
         cmocka_unit_test(a_crushed_body_tells_no_more_energy_than_it_has),
         cmocka_unit_test(the_impulses_of_rejected_steps_are_what_moved_the_body),
+        cmocka_unit_test(irregular_blocks_do_not_creep),
+        cmocka_unit_test(obstacles_of_no_finite_points_are_refused),
         cmocka_unit_test(a_body_has_one_contact_and_a_plane_a_normal),
     };
     return run_all_tests(tests);
