@@ -1073,6 +1073,8 @@ int main(int argc, char **argv)
     if (r.steps > MAX_STEPS) ex_fail("--steps must be at most %d", MAX_STEPS);
     if (ex_given(&r.o, "--quick") && r.steps > 12) r.steps = 12;
     if (ex_given(&r.o, "--static")) r.steps = 0;
+    if (ex_given(&r.o, "--static") && (ex_given(&r.o, "--floor") || ex_given(&r.o, "--obstacle")))
+        ex_fail("--static sees no obstacles: leave out --floor and --obstacle, or let the body step until it rests, damped by --rayleigh");
     ex_make_directory(ex_text(&r.o, "--out"));
     read_mesh(&r);
     read_surface(&r);

@@ -126,6 +126,48 @@ static void a_step_force_gives_the_momentum_f_h(void **state)
             }
 }
 
+/* Impulses before and after solve, in steps of many lengths, on bodies whose next step looks back at the last acceleration
+ * and on those whose does not. */
+static void impulses_give_their_momentum(void **state)
+{
+    static const sfem_integrator method[] = {SFEM_PQR, SFEM_KR_ALPHA, SFEM_GUI, SFEM_CHANG};
+    static const sfem_mass mass[] = {SFEM_MASS_LUMPED, SFEM_MASS_CONSISTENT};
+    size_t k, m;
+    int changing, i, c;
+    (void)state;
+    for (k = 0; k < TEST_COUNT(method); ++k)
+        for (m = 0; m < TEST_COUNT(mass); ++m)
+            for (changing = 0; changing < 2; ++changing) {
+                bar b = make_bar(SFEM_LINEAR, mass[m], 0);
+                sfem_body_def def = sfem_default_body_def();
+                test_random random = {7};
+                double p[3], given[3] = {0, 0, 0}, most = 0;
+                sfem_body *body;
+                sfem_error err;
+                def.integrator = method[k];
+                body = make_body(&b, &def);
+                for (i = 0; i < 20; ++i) {
+                    double j[3];
+                    assert_ok(sfem_body_predict(body, changing ? random_uniform(&random, 0.5, 1.5) / 60 : 1.0 / 60, &err), err);
+                    for (c = 0; c < 3; ++c) given[c] += j[c] = random_uniform(&random, -2, 3);
+                    if (i % 2) assert_ok(sfem_body_add_impulse(body, i % b.mesh.nodes, j, &err), err);
+                    assert_ok(sfem_body_solve(body, &err), err);
+                    if (i % 3) { /* as many as there are */
+                        for (c = 0; c < 3; ++c) given[c] += j[c];
+                        assert_ok(sfem_body_add_impulse(body, (i + 5) % b.mesh.nodes, j, &err), err);
+                    }
+                    if (i % 2 == 0)
+                        for (c = 0; c < 3; ++c) given[c] -= j[c];
+                    assert_ok(sfem_body_finish(body, &err), err);
+                    for (c = 0; c < 3; ++c) most = fmax(most, fabs(given[c]));
+                }
+                moved(&b, body, 1.0 / 60, p);
+                for (c = 0; c < 3; ++c) assert_near(p[c], given[c], 0, 1e-9 * most);
+                sfem_body_free(body);
+                drop_bar(&b);
+            }
+}
+
 /* Where a force is constant for many steps, a step force each step is what a lasting force is, to the order of the method. */
 static void step_forces_that_follow_each_other_are_a_lasting_force(void **state)
 {
@@ -495,6 +537,7 @@ int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(a_step_force_gives_the_momentum_f_h),
+        cmocka_unit_test(impulses_give_their_momentum),
         cmocka_unit_test(step_forces_that_follow_each_other_are_a_lasting_force),
         cmocka_unit_test(step_forces_are_whole_in_rejected_steps),
         cmocka_unit_test(a_step_force_waits_for_a_step_that_succeeds),
