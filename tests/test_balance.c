@@ -260,11 +260,10 @@ static void a_ball_that_is_cut_as_it_spins(void **state)
     assert_balance(&s, 100, 0.005);
 }
 
-/* Torn slowly, a third of its energy was lost in rejected steps: what a break sets free rings, and was taken for growth.
- * Of scattered points' Delaunay tets, and of cells. */
-static void tear(int kind, double dissipation, double h, double most)
+/* A strip with a crack, of scattered points' Delaunay tets or of cells. */
+static void tear(int kind)
 {
-    const double way = 0.05;
+    const double way = 0.05, h = 1 / 240.0;
     double from[9] = {0.901, -9, 0, 0.901, 9, 0, -9, 0, 0}, to[9];
     sfem_error err;
     scene s;
@@ -279,7 +278,7 @@ static void tear(int kind, double dissipation, double h, double most)
     s.damage = sfem_default_damage_def();
     s.damage.toughness = 400;
     s.def = sfem_default_body_def();
-    s.def.dissipation = dissipation;
+    s.def.dissipation = 0;
     s.pin = (sfem_int *)body_new((size_t)s.mesh.nodes, sizeof *s.pin);
     s.axes = (unsigned char *)body_new((size_t)s.mesh.nodes, 1);
     hold(&s, 2, -1, 1e-9, -1, SFEM_AXIS_ALL);
@@ -296,20 +295,43 @@ static void tear(int kind, double dissipation, double h, double most)
         pull(&s, 2, 0.5, 2, way * 2 * h * (k + 1));
         advance(&s, h);
     }
-    {
-        const sfem_fracture f = sfem_body_fracture(s.body);
-        assert_true(fabs(f.rejected) <= 0.01 * f.scale);
-        assert_true(fabs(f.error + f.dissipated) <= most * f.scale);
-    }
-    assert_balance(&s, 10, dissipation > 0 ? 0.5 : most);
+    assert_balance(&s, 10, 0.005);
 }
 
-static void slow_tearing_loses_nothing_in_rejected_steps(void **state)
+static void strips_of_cells_and_of_scattered_nodes(void **state)
 {
     (void)state;
-    tear(STRIP_DELAUNAY, 0, 1 / 240.0, 0.02);
-    tear(STRIP_5_TETS, 0, 1 / 240.0, 0.02);
-    tear(STRIP_5_TETS, 0.1, 1 / 60.0, 0.1);
+    tear(STRIP_DELAUNAY);
+    tear(STRIP_5_TETS);
+}
+
+/* At steps that resolve none of what a break sets free it rings, and was taken for growth: a third of the energy of
+ * this bar was lost in rejected steps. What def.dissipation takes of it is known to a part of that. */
+static void slow_tearing_loses_nothing_in_rejected_steps(void **state)
+{
+    static const sfem_int cells[3] = {16, 4, 4};
+    static const double size[3] = {1, 0.25, 0.25}, h = 1 / 60.0;
+    sfem_fracture f;
+    scene s;
+    int k;
+    (void)state;
+    open_scene(&s, "torn slowly", cells, size, 0.006);
+    s.material.material.young = 1e5;
+    s.material.material.poisson = 0.35;
+    s.material.material.mass_damping = 1;
+    s.damage.toughness = 600;
+    hold(&s, 0, -1, 1e-9, -1, SFEM_AXIS_ALL);
+    hold(&s, 0, 1 - 1e-9, 2, -1, SFEM_AXIS_ALL);
+    make(&s);
+    cut(&s, 0.502, -0.1, 0.08);
+    for (k = 0; k < 130; ++k) {
+        pull(&s, 0, 0.5, 0, 0.15 * h * (k + 1));
+        advance(&s, h);
+    }
+    f = sfem_body_fracture(s.body);
+    assert_true(fabs(f.rejected) <= 0.02 * f.scale);
+    assert_true(f.dissipated > 0 && fabs(f.error + f.dissipated) <= 0.05 * f.scale);
+    assert_balance(&s, 50, 0.5);
 }
 
 int main(void)
@@ -319,6 +341,7 @@ int main(void)
         cmocka_unit_test(a_bar_that_is_pulled_apart),
         cmocka_unit_test(a_plate_that_is_struck),
         cmocka_unit_test(a_ball_that_is_cut_as_it_spins),
+        cmocka_unit_test(strips_of_cells_and_of_scattered_nodes),
         cmocka_unit_test(slow_tearing_loses_nothing_in_rejected_steps),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
