@@ -15346,21 +15346,36 @@ typedef struct sfemi_slice {
 #define SFEMI_SLICE_FRONT 1e6 /* operations up to which a front is not cut */
 #define SFEMI_SLICE_LEAST 2e3 /* what the work around a front is counted as */
 
-/* Of all fronts, or of those that are marked. */
-static double sfemi_slice_total(const sfem_ldl *ldl, int marked)
+/* Of the fronts that are marked stale. */
+static double sfemi_slice_marked(const sfem_ldl *ldl)
 {
     double sum = 0;
     sfem_int s;
     for (s = 0; s < ldl->symbolic->supernodes; ++s)
-        if (!marked || ldl->stale[s]) sum += sfemi_front_flops(ldl->symbolic, s) + SFEMI_SLICE_LEAST;
+        if (ldl->stale[s]) sum += sfemi_front_flops(ldl->symbolic, s) + SFEMI_SLICE_LEAST;
     return sum;
 }
 
-/* Of the supernodes that are marked stale. */
-static void sfemi_slice_start(sfem_ldl *ldl, const sfem_matrix *a, sfemi_slice *at)
+static double sfemi_slice_total(const sfem_ldl *ldl)
+{
+    double sum = 0;
+    sfem_int s;
+    for (s = 0; s < ldl->symbolic->supernodes; ++s)
+        sum += sfemi_front_flops(ldl->symbolic, s) + SFEMI_SLICE_LEAST;
+    return sum;
+}
+
+/* Of the fronts that are marked stale. */
+static void sfemi_slice_start_marked(sfem_ldl *ldl, const sfem_matrix *a, sfemi_slice *at)
 {
     sfemi_ldl_begin(ldl, a);
     memset(at, 0, sizeof *at);
+}
+
+static void sfemi_slice_start(sfem_ldl *ldl, const sfem_matrix *a, sfemi_slice *at)
+{
+    memset(ldl->stale, 1, (size_t)ldl->symbolic->supernodes);
+    sfemi_slice_start_marked(ldl, a, at);
 }
 
 /* To the next front. */
@@ -30304,7 +30319,7 @@ static double sfemi_refactor_price(const sfem_body *b, int tangent)
     const sfemi_refactor *r = &b->refactor;
     return (tangent ? SFEMI_REFACTOR_TET * (double)model->mesh.tets : 0) +
            SFEMI_REFACTOR_BLOCK * (double)model->row[model->mesh.nodes] +
-           SFEMI_REFACTOR_ENTRY * (double)r->a.row[r->a.n] + sfemi_slice_total(r->ldl[0], 0);
+           SFEMI_REFACTOR_ENTRY * (double)r->a.row[r->a.n] + sfemi_slice_total(r->ldl[0]);
 }
 
 /* What a correction costs: a solve with f and an evaluation of the forces. */
@@ -30423,7 +30438,7 @@ static int sfemi_refactor_some(sfem_body *b, int to)
         sfemi_ldl_mark(r->ldl[to], i);
         rows += r->a.row[i + 1] - r->a.row[i];
     }
-    r->flops = SFEMI_REFACTOR_ENTRY * (double)rows + sfemi_slice_total(r->ldl[to], 1);
+    r->flops = SFEMI_REFACTOR_ENTRY * (double)rows + sfemi_slice_marked(r->ldl[to]);
     return 1;
 }
 
@@ -30515,7 +30530,8 @@ static double sfemi_refactor_matrix(sfem_body *b)
     if (++r->next == r->a.n) {
         r->stage = SFEMI_REFACTOR_FACTOR;
         r->current = r->left[to];
-        sfemi_slice_start(r->ldl[to], &r->a, &r->at);
+        if (r->current) sfemi_slice_start_marked(r->ldl[to], &r->a, &r->at);
+        else sfemi_slice_start(r->ldl[to], &r->a, &r->at);
     }
     return skip ? 0 : SFEMI_REFACTOR_ENTRY * (double)(r->a.row[row + 1] - r->a.row[row]);
 }
