@@ -1793,7 +1793,9 @@ SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *body);
  * It is then rotated as the first factor was. It is made
  *   - by itself, once the corrections beyond two a step have cost as much as a factor. Calm bodies on good meshes never
  *     need it. A factor that does not save what it cost is dropped, and the next one waits twice as long;
- *   - for a body with damage 8 steps after the last break, from what is left of K at rest; never while edges break;
+ *   - for a body with damage 8 steps after the last break, from what is left of K at rest; never while edges break. Of
+ *     linear tets only the columns on the paths from changed nodes to the root of the elimination tree are made again,
+ *     with the bits of the whole: 0.1 to 0.8 of it in a bar of 10:1, the less the closer to the root the crack is;
  *   - on request, by sfem_body_refactorise: of the present tangent, or of k, the caller's own matrix: in space, on the
  *     model's pattern, without negative eigenvalues; it is copied.
  *
@@ -1802,7 +1804,8 @@ SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *body);
  * the energy budget stay. Handles then cost three solves each. A second request starts over. A
  * matrix that is not positive definite is dropped and counted as failed.
  *   cost    of all: that of 10 to 20 corrections
- *   memory  two factors, three matrices; sfem_body_prepare allocates them; nothing else allocates
+ *   memory  two factors, of bodies that break their update matrices, too, three matrices; sfem_body_prepare allocates
+ *           them, and makes one of these factors where bodies break; nothing else allocates
  *   dropped by sfem_body_set_state and _load_state, static solutions, a step of another length and new pins; the body
  *           goes on with the factor of the rest pose. A saved state has no factor: to continue from it with the bits of
  *           the body that saved it, drop the factor of that body, too
