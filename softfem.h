@@ -1798,7 +1798,9 @@ SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *body);
  * It is then rotated as the first factor was. It is made
  *   - by itself, once the corrections beyond two a step have cost as much as a factor. Calm bodies on good meshes never
  *     need it. A factor that does not save what it cost is dropped, and the next one waits twice as long;
- *   - for a body with damage 8 steps after the last break, from what is left of K at rest; never while edges break;
+ *   - for a body with damage 8 steps after the last break, from what is left of K at rest; never while edges break. Of
+ *     linear tets only the columns on the paths from changed nodes to the root of the elimination tree are made again,
+ *     with the bits of the whole: 0.1 to 0.8 of it in a bar of 10:1, the less the closer to the root the crack is;
  *   - on request, by sfem_body_refactorise: of the present tangent, or of k, the caller's own matrix: in space, on the
  *     model's pattern, without negative eigenvalues; it is copied.
  *
@@ -1807,7 +1809,8 @@ SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *body);
  * the energy budget stay. Handles then cost three solves each. A second request starts over. A
  * matrix that is not positive definite is dropped and counted as failed.
  *   cost    of all: that of 10 to 20 corrections
- *   memory  two factors, three matrices; sfem_body_prepare allocates them; nothing else allocates
+ *   memory  two factors, of bodies that break their update matrices, too, three matrices; sfem_body_prepare allocates
+ *           them, and makes one of these factors where bodies break; nothing else allocates
  *   dropped by sfem_body_set_state and _load_state, static solutions, a step of another length and new pins; the body
  *           goes on with the factor of the rest pose. A saved state has no factor: to continue from it with the bits of
  *           the body that saved it, drop the factor of that body, too
@@ -15475,6 +15478,16 @@ typedef struct sfemi_slice {
 #define SFEMI_SLICE_FRONT 1e6 /* operations up to which a front is not cut */
 #define SFEMI_SLICE_LEAST 2e3 /* what the work around a front is counted as */
 
+/* Of the fronts that are marked stale. */
+static double sfemi_slice_marked(const sfem_ldl *ldl)
+{
+    double sum = 0;
+    sfem_int s;
+    for (s = 0; s < ldl->symbolic->supernodes; ++s)
+        if (ldl->stale[s]) sum += sfemi_front_flops(ldl->symbolic, s) + SFEMI_SLICE_LEAST;
+    return sum;
+}
+
 static double sfemi_slice_total(const sfem_ldl *ldl)
 {
     double sum = 0;
@@ -15484,14 +15497,30 @@ static double sfemi_slice_total(const sfem_ldl *ldl)
     return sum;
 }
 
-static void sfemi_slice_start(sfem_ldl *ldl, const sfem_matrix *a, sfemi_slice *at)
+/* Of the fronts that are marked stale. */
+static void sfemi_slice_start_marked(sfem_ldl *ldl, const sfem_matrix *a, sfemi_slice *at)
 {
-    memset(ldl->stale, 1, (size_t)ldl->symbolic->supernodes);
     sfemi_ldl_begin(ldl, a);
     memset(at, 0, sizeof *at);
 }
 
-/* Does the next front, or unit of one, and returns its operations; 0 where all is done, -1 where the
+static void sfemi_slice_start(sfem_ldl *ldl, const sfem_matrix *a, sfemi_slice *at)
+{
+    memset(ldl->stale, 1, (size_t)ldl->symbolic->supernodes);
+    sfemi_slice_start_marked(ldl, a, at);
+}
+
+/* To the next front. */
+static void sfemi_slice_pass(const sfemi_symbolic *y, sfemi_slice *at)
+{
+    const sfem_int t = y->by_level[at->task];
+    at->unit = 0;
+    if (y->task[t] + ++at->front < y->task[t + 1]) return;
+    at->front = 0;
+    ++at->task;
+}
+
+/* Does the next marked front, or unit of one, and returns its operations; 0 where all is done, -1 where the
  * matrix is not positive definite. */
 static double sfemi_slice_next(sfem_ldl *ldl, const sfem_matrix *a, sfemi_slice *at)
 {
@@ -15500,7 +15529,12 @@ static double sfemi_slice_next(sfem_ldl *ldl, const sfem_matrix *a, sfemi_slice 
     size_t units = 1, before;
     double cost;
     sfemi_front q;
-    if (at->task == y->tasks) return 0;
+    while (at->task < y->tasks && !ldl->stale[y->task[y->by_level[at->task]] + at->front]) sfemi_slice_pass(y, at);
+    if (at->task == y->tasks) {
+        sfemi_ldl_statistics(ldl);
+        ldl->valid = 1;
+        return 0;
+    }
     t = y->by_level[at->task];
     s = y->task[t] + at->front;
     cost = sfemi_front_flops(y, s) + SFEMI_SLICE_LEAST;
@@ -15513,13 +15547,7 @@ static double sfemi_slice_next(sfem_ldl *ldl, const sfem_matrix *a, sfemi_slice 
     }
     if (lost >= 0) return -1;
     if (++at->unit < units) return cost / (double)units;
-    at->unit = 0;
-    if (s + 1 < y->task[t + 1]) {
-        ++at->front;
-    } else {
-        at->front = 0;
-        ++at->task;
-    }
+    sfemi_slice_pass(y, at);
     if (at->task == y->tasks) {
         sfemi_ldl_statistics(ldl);
         ldl->valid = 1;
@@ -15527,6 +15555,22 @@ static double sfemi_slice_next(sfem_ldl *ldl, const sfem_matrix *a, sfemi_slice 
     return cost / (double)units;
 }
 #endif
+
+/* Marks the supernodes whose columns depend on a node's row: those on its path to the root of the elimination tree. */
+static void sfemi_ldl_mark(const sfem_ldl *ldl, sfem_int node)
+{
+    const sfemi_symbolic *y = ldl->symbolic;
+    const sfem_int at = y->inverse[node];
+    sfem_int low, high;
+    for (low = 0, high = y->supernodes; high - low > 1;) {
+        const sfem_int middle = low + (high - low) / 2;
+        if (y->first[middle] <= at)
+            low = middle;
+        else
+            high = middle;
+    }
+    for (; low >= 0 && !ldl->stale[low]; low = y->parent[low]) ldl->stale[low] = 1;
+}
 
 #define SFEMI_PANEL_SLACK                                                                          \
     512 /* numbers after L that the block solve may read: half a tile square */
@@ -15575,6 +15619,26 @@ done:
         sfemi_symbolic_free(y);
     return status;
 }
+
+#ifndef SFEM_NO_BODY
+/* What `from` holds; both on the same analysis, with the same options. */
+static void sfemi_ldl_copy(sfem_ldl *to, const sfem_ldl *from)
+{
+    const sfemi_symbolic *y = from->symbolic;
+    const size_t n = y->per * (size_t)y->n, ns = (size_t)y->supernodes;
+    SFEM_ASSERT(to->symbolic == y && to->keep && from->keep && from->positive);
+    memcpy(to->l, from->l, y->panel[ns] * sizeof *to->l);
+    if (from->mixed) memcpy(to->l32, from->l32, y->panel32[ns] * sizeof *to->l32);
+    memcpy(to->update, from->update, y->update_kept_size * sizeof *to->update);
+    memcpy(to->scale, from->scale, n * sizeof *to->scale);
+    memcpy(to->floor, from->floor, n * sizeof *to->floor);
+    memcpy(to->negative, from->negative, ns * sizeof *to->negative);
+    to->unit = from->unit;
+    to->pivot_min = from->pivot_min;
+    to->pivot_max = from->pivot_max;
+    to->valid = from->valid;
+}
+#endif
 
 SFEM_DEF sfem_ldl_def sfem_default_ldl_def(void)
 {
@@ -15643,24 +15707,14 @@ SFEM_DEF sfem_status sfem_ldl_refactor_nodes(sfem_ldl *ldl, const sfem_matrix *a
     SFEM_ASSERT(ldl && a);
     const sfemi_symbolic *y = ldl->symbolic;
     const sfem_status status = sfemi_ldl_matches(ldl, a, err);
-    sfem_int i, low, high;
+    sfem_int i;
     if (status != SFEM_OK) return status;
     for (i = 0; i < count; ++i)
         if (node[i] < 0 || node[i] >= y->n)
             return sfemi_fail(err, SFEM_BAD_ARGUMENT, "node %ld of %ld", (long)node[i], (long)y->n);
     if (!ldl->keep || !ldl->valid) return sfem_ldl_refactor(ldl, a, err);
     memset(ldl->stale, 0, (size_t)y->supernodes);
-    for (i = 0; i < count; ++i) {
-        const sfem_int at = y->inverse[node[i]];
-        for (low = 0, high = y->supernodes; high - low > 1;) {
-            const sfem_int middle = low + (high - low) / 2;
-            if (y->first[middle] <= at)
-                low = middle;
-            else
-                high = middle;
-        }
-        for (; low >= 0 && !ldl->stale[low]; low = y->parent[low]) ldl->stale[low] = 1;
-    }
+    for (i = 0; i < count; ++i) sfemi_ldl_mark(ldl, node[i]);
     return sfemi_ldl_factor(ldl, a, err);
 }
 
@@ -20555,6 +20609,7 @@ typedef struct sfemi_damage {
     sfem_int tets, *tet;     /* [tets] the damaged ones, ascending */
     unsigned char *kind;     /* [model tets] SFEMI_INTACT .. */
     sfem_real *s;            /* [model tets][6][6] S_d of damaged tets */
+    unsigned char *dirty;    /* [model tets] bits 1 and 2: S_d has changed since >>refactor last asked, for each of its factors */
     sfemi_block *block;      /* the model's blocks with damaged tets masked; NULL: linear body */
     sfem_int *lane;          /* [model tets] block times SFEMI_LANES + lane, or NULL */
     sfem_int pieces;         /* connected components over intact edges, by lowest node */
@@ -21541,6 +21596,7 @@ static sfem_status sfemi_damage_create(const sfemi_bonds *bonds,
         SFEMI_TAKE(unsigned char, d->warm, &d->pool, model->chunks.block_start[model->chunks.count]);
         SFEMI_TAKE(unsigned char, d->was_warm, &d->pool, model->chunks.block_start[model->chunks.count]);
     }
+    SFEMI_TAKE(unsigned char, d->dirty, &d->pool, tets);
     SFEMI_TAKE(sfem_int, d->watch, &d->pool, tets);
     SFEMI_TAKE(sfem_int, d->known_edge, &d->pool, edges + 1);
     SFEMI_TAKE(unsigned char, d->known, &d->pool, edges);
@@ -21858,7 +21914,11 @@ static void sfemi_damage_refresh(sfemi_damage *d)
     sfem_int e;
     sfemi_damage_unmask(d);
     if (d->apart) sfemi_apart_reset(d);
-    if (d->warm) memset(d->warm, 1, (size_t)model->chunks.block_start[model->chunks.count]);
+    if (d->warm) { /* the next step starts from where nothing is known */
+        memset(d->was_warm, 1, (size_t)model->chunks.block_start[model->chunks.count]);
+        memset(d->warm, 0, (size_t)model->chunks.block_start[model->chunks.count]);
+    }
+    memset(d->dirty, 3, (size_t)model->mesh.tets);
     d->marked = 1;
     d->tets = d->events = d->fresh_count = 0;
     for (e = 0; e < model->mesh.tets; ++e) {
@@ -22102,8 +22162,8 @@ static void sfemi_damage_tet_tangent(const sfemi_damage *d, const sfemi_damage_c
     for (i = 0; i < 144; ++i) k[i] = phi * k[i] + (1 - phi) * whole[i];
 }
 
-/* val += scale k on K's pattern. */
-static void sfemi_damage_scatter(const sfem_model *model, sfem_int e, sfem_real scale,
+/* val += scale k on K's pattern, in the rows of touched nodes, or in all (NULL). */
+static void sfemi_damage_scatter(const sfem_model *model, sfem_int e, sfem_real scale, const unsigned char *touched,
                                  const sfem_real k[144], sfem_real *val)
 {
     const sfem_int *t = model->mesh.tet + 4 * (size_t)e;
@@ -22112,6 +22172,7 @@ static void sfemi_damage_scatter(const sfem_model *model, sfem_int e, sfem_real 
         for (b = 0; b <= a; ++b, ++n) {
             const int row = t[a] >= t[b] ? a : b, col = t[a] >= t[b] ? b : a;
             sfem_real *to = val + 9 * (size_t)model->chunks.place[10 * (size_t)e + (size_t)n];
+            if (touched && !touched[t[row]]) continue;
             for (i = 0; i < 3; ++i)
                 for (j = 0; j < 3; ++j)
                     to[3 * i + j] += scale * k[12 * (3 * row + i) + 3 * col + j];
@@ -22134,31 +22195,60 @@ static void sfemi_damage_total_tangent(const sfemi_damage *d, const sfem_real *u
         sfemi_damage_gather(u, model->mesh.tet + 4 * (size_t)e, local);
         sfemi_damage_case_of(d, e, &tet, zeta, &at);
         sfemi_damage_tet_tangent(d, &at, local, kind, k);
-        sfemi_damage_scatter(model, e, 1, k, tangent->val);
+        sfemi_damage_scatter(model, e, 1, NULL, k, tangent->val);
     }
 }
 
-/* val += scale (K_damaged - K) at rest, on K's pattern: what a factor of what is left is made of. */
-static void sfemi_damage_add_stiffness(const sfemi_damage *d, sfem_real scale, sfem_real *val)
+/* val += scale (K_damaged - K) at rest, on K's pattern: what a factor of what is left is made of; in the rows of touched
+ * nodes, or in all (NULL), with the same bits. */
+static void sfemi_damage_add_rows(const sfemi_damage *d, sfem_real scale, const unsigned char *touched, sfem_real *val)
 {
     static const sfem_real still[12] = {0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0};
     const sfem_model *model = d->bonds->model;
     sfem_int i;
     for (i = 0; i < d->tets; ++i) {
         const sfem_int e = d->tet[i];
+        const sfem_int *t = model->mesh.tet + 4 * (size_t)e;
         sfem_real k[144];
         sfem_damage_tet tet;
+        if (touched && !(touched[t[0]] || touched[t[1]] || touched[t[2]] || touched[t[3]])) continue;
         sfemi_damage_tet(d->bonds, e, &tet);
         sfem_damage_energy(&tet, d->s + 36 * (size_t)e, 1, still, SFEM_TANGENT_PSD, NULL, k);
-        sfemi_damage_scatter(model, e, scale, k, val);
+        sfemi_damage_scatter(model, e, scale, touched, k, val);
         sfem_law_tet(SFEM_LINEAR, tet.lambda, tet.mu, tet.x, still, SFEM_TANGENT_PSD, NULL, k);
-        sfemi_damage_scatter(model, e, -scale, k, val);
+        sfemi_damage_scatter(model, e, -scale, touched, k, val);
     }
     if (d->apart) {
         sfem_matrix k = model->stiffness;
         k.val = val;
         sfemi_apart_remove_patches(d, scale, &k);
     }
+}
+
+static void sfemi_damage_add_stiffness(const sfemi_damage *d, sfem_real scale, sfem_real *val)
+{
+    sfemi_damage_add_rows(d, scale, NULL, val);
+}
+
+/* Marks the nodes of the tets that have changed since the last call with this bit. Smooth tets: not known. */
+static void sfemi_damage_touched(sfemi_damage *d, int bit, unsigned char *touched)
+{
+    const sfem_model *model = d->bonds->model;
+    sfem_int e;
+    int a;
+    memset(touched, 0, (size_t)model->mesh.nodes);
+    for (e = 0; e < model->mesh.tets; ++e) {
+        if (!(d->dirty[e] & bit)) continue;
+        for (a = 0; a < 4; ++a) touched[model->mesh.tet[4 * (size_t)e + (size_t)a]] = 1;
+        d->dirty[e] = (unsigned char)(d->dirty[e] & ~bit);
+    }
+}
+
+/* From here on what is damaged now counts as changed. */
+static void sfemi_damage_touch_damaged(sfemi_damage *d)
+{
+    sfem_int e;
+    for (e = 0; e < d->bonds->model->mesh.tets; ++e) d->dirty[e] = d->kind[e] == SFEMI_INTACT ? 0 : 3;
 }
 
 /* y = K z of what is left of smooth tets, small strain about rest; 0 if the body cannot break. */
@@ -23025,6 +23115,7 @@ static void sfemi_damage_commit(sfemi_damage *d, sfem_int k, sfem_real to,
             ++change->damaged;
         }
         memcpy(d->s + 36 * (size_t)e, local, 36 * sizeof *local);
+        d->dirty[e] = 3;
         d->kind[e] = sfemi_damage_links[mask] & SFEMI_CONNECTED ? SFEMI_DAMAGED : SFEMI_DISCONNECTED;
         for (i = 0; i < 12; ++i) {
             const size_t to_node = 3 * (size_t)t[i / 3] + (size_t)(i % 3);
@@ -23708,6 +23799,12 @@ static int sfemi_damage_is_corrected(const struct sfem_damage_def *def) { (void)
 static size_t sfemi_damage_state_bytes(const sfemi_bonds *g) { (void)g; return 0; }
 static int sfemi_damage_check_state(const sfemi_bonds *g, const char *at) { (void)g, (void)at; return 0; }
 static void sfemi_damage_multiply(const sfemi_damage *d, const sfem_real *z, sfem_real *y) { (void)d, (void)z, (void)y; }
+static void sfemi_damage_add_rows(const sfemi_damage *d, sfem_real scale, const unsigned char *touched, sfem_real *val)
+{
+    (void)d, (void)scale, (void)touched, (void)val;
+}
+static void sfemi_damage_touched(sfemi_damage *d, int bit, unsigned char *touched) { (void)d, (void)bit, (void)touched; }
+static void sfemi_damage_touch_damaged(sfemi_damage *d) { (void)d; }
 static void sfemi_damage_add_stiffness(const sfemi_damage *d, sfem_real scale, sfem_real *val)
 {
     (void)d, (void)scale, (void)val;
@@ -24310,6 +24407,9 @@ typedef struct sfemi_refactor {
     sfem_matrix a;        /* what is factorised, free rows */
     sfem_int *source;     /* [blocks of a] their places in K's pattern */
     sfem_real *u, *frame; /* [nodes][3], [nodes][3][3] when it was asked for */
+    unsigned char *touched; /* [nodes] bodies that break: 1 where K has changed since the factor was last made */
+    int left[2];          /* 1: the factor is of what is left of K */
+    int current;          /* 1: `a` is of what was left when a factor was last asked for */
     int live;             /* 1 + the one in use, or 0 */
     int stage;            /* SFEMI_REFACTOR_IDLE ... */
     sfem_int next;        /* chunk of tets, or row of blocks */
@@ -30475,6 +30575,7 @@ static void sfemi_refactor_destroy(sfem_body *b)
     }
     sfem_matrix_free(&r->a);
     sfemi_delete(&b->allocator, r->source);
+    sfemi_delete(&b->allocator, r->touched);
     sfemi_delete(&b->allocator, r->u);
     memset(r, 0, sizeof *r);
     r->made = made;
@@ -30498,6 +30599,46 @@ static double sfemi_refactor_correction(const sfem_body *b, const sfem_factor *f
            SFEMI_REFACTOR_FORCE * (double)b->model->mesh.tets;
 }
 
+/* The row of the matrix, as sfemi_factor_matrix makes it, of K number `to`. */
+static void sfemi_refactor_row(sfem_body *b, const sfem_factor *f, int to, sfem_int row)
+{
+    const sfem_model *model = b->model;
+    sfemi_refactor *r = &b->refactor;
+    const sfem_int i = f->node[row];
+    sfem_int at;
+    int p, q;
+    for (at = r->a.row[row]; at < r->a.row[row + 1]; ++at) {
+        const sfem_int from = r->source[at], j = model->col[from];
+        const sfem_real *k = r->k[to].val + 9 * (size_t)from;
+        sfem_real *a = r->a.val + 9 * (size_t)at;
+        sfemi_fem_block(model, from, i, 0, f->key.cm, f->key.cd, a);
+        for (p = 0; p < 9; ++p) a[p] += f->key.ck * k[p];
+        for (p = 0; p < 3; ++p)
+            for (q = 0; q < 3; ++q)
+                if (((f->mask[i] >> p & 1) || (f->mask[j] >> q & 1)) && !(i == j && p == q)) a[3 * p + q] = 0;
+    }
+}
+
+/* Bodies that break: both factors of all of K, with what a part of them can be made anew from. */
+static sfem_status sfemi_refactor_fill(sfem_body *b, const sfem_factor *f, sfem_error *err)
+{
+    const sfem_model *model = b->model;
+    sfemi_refactor *r = &b->refactor;
+    sfem_status status = SFEM_OK;
+    sfem_int row;
+    int k;
+    if (!b->damage || model->smooth) return SFEM_OK;
+    for (k = 0; k < 2; ++k)
+        memcpy(r->k[k].val, model->stiffness.val, 9 * (size_t)model->row[model->mesh.nodes] * sizeof *r->k[k].val);
+    for (row = 0; row < r->a.n; ++row) sfemi_refactor_row(b, f, 0, row);
+    SFEMI_TRY(sfemi_ldl_factor(r->ldl[0], &r->a, err));
+    sfemi_ldl_copy(r->ldl[1], r->ldl[0]);
+    sfemi_damage_touch_damaged(b->damage);
+    r->left[0] = r->left[1] = r->current = 1;
+done:
+    return status;
+}
+
 /* Room for other factors than f. */
 static sfem_status sfemi_refactor_reserve(sfem_body *b, const sfem_factor *f, sfem_error *err)
 {
@@ -30506,7 +30647,10 @@ static sfem_status sfemi_refactor_reserve(sfem_body *b, const sfem_factor *f, sf
     sfemi_refactor *r = &b->refactor;
     sfem_status status = SFEM_OK;
     sfem_int k, at, count = 0;
+    sfem_ldl like;
     if (!b->scheme.refactors || !f->ldl || r->source) return SFEM_OK;
+    like = *f->ldl; /* its options */
+    like.keep = b->damage && !model->smooth;
     SFEMI_TRY(sfemi_factor_matrix(model, f, &r->a, err));
     SFEMI_NEW(sfem_real, r->u, &b->allocator, 4 * n);
     r->frame = r->u + n;
@@ -30515,8 +30659,9 @@ static sfem_status sfemi_refactor_reserve(sfem_body *b, const sfem_factor *f, sf
         r->k[k].val = NULL;
         SFEMI_NEW(sfem_real, r->k[k].val, &b->allocator, values);
         (void)SFEMI_ATOMIC_ADD(&f->ldl->symbolic->references, 1);
-        SFEMI_TRY(sfemi_ldl_make(f->ldl, f->ldl->symbolic, NULL, &b->exec, &r->ldl[k], err));
+        SFEMI_TRY(sfemi_ldl_make(&like, f->ldl->symbolic, NULL, &b->exec, &r->ldl[k], err));
     }
+    if (b->damage) SFEMI_NEW(unsigned char, r->touched, &b->allocator, model->mesh.nodes);
     SFEMI_NEW(sfem_int, r->source, &b->allocator, (size_t)r->a.row[r->a.n] + 1);
     for (k = 0; k < f->free_nodes; ++k)
         for (at = model->row[f->node[k]]; at < model->row[f->node[k] + 1]; ++at)
@@ -30524,6 +30669,7 @@ static sfem_status sfemi_refactor_reserve(sfem_body *b, const sfem_factor *f, sf
     r->budget = b->def.refactorise * sfemi_refactor_correction(b, f);
     r->price = sfemi_refactor_price(b, 1);
     r->patience = 1;
+    SFEMI_TRY(sfemi_refactor_fill(b, f, err));
 done:
     if (status != SFEM_OK) sfemi_refactor_destroy(b);
     return status;
@@ -30540,6 +30686,32 @@ static size_t sfemi_refactor_bytes(const sfem_body *b)
            (18 * blocks + 12 * (size_t)b->model->mesh.nodes) * sizeof(sfem_real);
 }
 
+/* After breaks: the rows of K that have changed, and marks on what depends on them. Returns 0 where all has to be made:
+ * what there is was not made in this way, or not to the end. */
+static int sfemi_refactor_some(sfem_body *b, int to)
+{
+    const sfem_model *model = b->model;
+    const sfem_factor *f = b->factor;
+    sfemi_refactor *r = &b->refactor;
+    const int can = r->left[to] && r->current && r->ldl[to]->valid && !model->smooth;
+    sfem_int i, rows = 0;
+    sfemi_damage_touched(b->damage, 1 << to, r->touched);
+    if (!can) return 0;
+    for (i = 0; i < model->mesh.nodes; ++i)
+        if (r->touched[i])
+            memcpy(r->k[to].val + 9 * (size_t)model->row[i], model->stiffness.val + 9 * (size_t)model->row[i],
+                   9 * (size_t)(model->row[i + 1] - model->row[i]) * sizeof *r->k[to].val);
+    sfemi_damage_add_rows(b->damage, 1, r->touched, r->k[to].val);
+    memset(r->ldl[to]->stale, 0, (size_t)r->ldl[to]->symbolic->supernodes);
+    for (i = 0; i < f->free_nodes; ++i) {
+        if (!r->touched[f->node[i]]) continue;
+        sfemi_ldl_mark(r->ldl[to], i);
+        rows += r->a.row[i + 1] - r->a.row[i];
+    }
+    r->flops = SFEMI_REFACTOR_ENTRY * (double)rows + sfemi_slice_marked(r->ldl[to]);
+    return 1;
+}
+
 static void sfemi_refactor_begin(sfem_body *b, const sfem_matrix *k)
 {
     const sfem_model *model = b->model;
@@ -30548,6 +30720,18 @@ static void sfemi_refactor_begin(sfem_body *b, const sfem_matrix *k)
     const int to = r->live == 1;
     memcpy(r->u, b->state.u, n * sizeof *r->u);
     memcpy(r->frame, b->state.frame, 3 * n * sizeof *r->frame);
+    r->broken = sfemi_damage_broken(b->damage);
+    r->next = 0;
+    r->credit = r->done = 0;
+    if (b->damage && !k && sfemi_refactor_some(b, to)) {
+        r->stage = SFEMI_REFACTOR_MATRIX;
+        r->current = 0;
+        return;
+    }
+    memset(r->ldl[to]->stale, 1, (size_t)r->ldl[to]->symbolic->supernodes);
+    r->left[to] = b->damage && !k;
+    r->current = 0;
+    if (r->touched) memset(r->touched, 1, (size_t)model->mesh.nodes);
     if (k) memcpy(r->k[to].val, k->val, 9 * blocks * sizeof *k->val);
     else if (b->damage) memcpy(r->k[to].val, model->stiffness.val, 9 * blocks * sizeof *r->k[to].val);
     else memset(r->k[to].val, 0, 9 * blocks * sizeof *r->k[to].val);
@@ -30556,9 +30740,6 @@ static void sfemi_refactor_begin(sfem_body *b, const sfem_matrix *k)
         sfemi_damage_add_stiffness(b->damage, 1, r->k[to].val);
         r->stage = SFEMI_REFACTOR_MATRIX;
     }
-    r->broken = sfemi_damage_broken(b->damage);
-    r->next = 0;
-    r->credit = r->done = 0;
     r->flops = sfemi_refactor_price(b, r->stage == SFEMI_REFACTOR_TANGENT);
 }
 
@@ -30608,31 +30789,21 @@ static double sfemi_refactor_rotate(sfem_body *b)
     return SFEMI_REFACTOR_BLOCK * (double)(model->row[i + 1] - model->row[i]);
 }
 
-/* The next row of the matrix, as sfemi_factor_matrix makes it. */
+/* The next row of the matrix. */
 static double sfemi_refactor_matrix(sfem_body *b)
 {
-    const sfem_model *model = b->model;
-    const sfem_factor *f = b->factor;
     sfemi_refactor *r = &b->refactor;
     const int to = r->live == 1;
-    const sfem_int row = r->next, i = f->node[row];
-    sfem_int at;
-    int p, q;
-    for (at = r->a.row[row]; at < r->a.row[row + 1]; ++at) {
-        const sfem_int from = r->source[at], j = model->col[from];
-        const sfem_real *k = r->k[to].val + 9 * (size_t)from;
-        sfem_real *a = r->a.val + 9 * (size_t)at;
-        sfemi_fem_block(model, from, i, 0, f->key.cm, f->key.cd, a);
-        for (p = 0; p < 9; ++p) a[p] += f->key.ck * k[p];
-        for (p = 0; p < 3; ++p)
-            for (q = 0; q < 3; ++q)
-                if (((f->mask[i] >> p & 1) || (f->mask[j] >> q & 1)) && !(i == j && p == q)) a[3 * p + q] = 0;
-    }
+    const sfem_int row = r->next;
+    const int skip = r->touched && !r->touched[b->factor->node[row]];
+    if (!skip) sfemi_refactor_row(b, b->factor, to, row);
     if (++r->next == r->a.n) {
         r->stage = SFEMI_REFACTOR_FACTOR;
-        sfemi_slice_start(r->ldl[to], &r->a, &r->at);
+        r->current = r->left[to];
+        if (r->current) sfemi_slice_start_marked(r->ldl[to], &r->a, &r->at);
+        else sfemi_slice_start(r->ldl[to], &r->a, &r->at);
     }
-    return SFEMI_REFACTOR_ENTRY * (double)(r->a.row[row + 1] - r->a.row[row]);
+    return skip ? 0 : SFEMI_REFACTOR_ENTRY * (double)(r->a.row[row + 1] - r->a.row[row]);
 }
 
 static double sfemi_refactor_factor(sfem_body *b)
