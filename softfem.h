@@ -22320,10 +22320,9 @@ typedef struct sfemi_damage_round_job {
  *    1985]. In equilibrium it depends neither on r nor on the mesh. The second integral takes away what pushes at a
  *    smooth surface.
  * 3. The crack plane is across m and goes through the mean place of the broken edges, weighted by distance from x0;
- *    through x0 where none is broken. m is the direction of the largest principal value of the mean stress, plus, times
- *    E, the strain of damaged tets: a crack opens across its plane. The stress alone will not do, for stress along a
- *    crack does not move it, yet is most of the mean in a beam that is split. Then m is rotated towards the shear of
- *    that plane.
+ *    through x0 where none is broken. m is the direction of the largest principal value of the mean stress and of how the
+ *    crack is open (sfemi_damage_patch_kink). The stress alone will not do: stress along a crack does not move it, yet is
+ *    most of the mean in a beam that is split.
  * 4. G = |J - m m.J| / B, B the integral of q along the line through x0 across m and J. Fronts that face one another
  *    across a ligament push against one another: there, if it is more, the sum of what points at x0 instead of |J|.
  * 5. Nodes that are pinned or held by handles are left out; with one closer than an edge to x0, G is not known: 0.
@@ -22333,8 +22332,8 @@ typedef struct sfemi_damage_round_job {
  */
 #define SFEMI_DAMAGE_REACH 3.5
 #define SFEMI_DAMAGE_CORE 0.6
-#define SFEMI_DAMAGE_OPEN 4.0 /* weight of what opens; and at most so many strains at which an edge's length stores Gc */
-#define SFEMI_DAMAGE_MODE 1.5 /* K_II/K_I over shear/tension, means over a disc round a front: 0.764/0.509 */
+#define SFEMI_DAMAGE_OPEN 2.0  /* weight of how a crack is open against the mean stress */
+#define SFEMI_DAMAGE_GAPE 4.0  /* strains at which an edge's length stores Gc */
 
 typedef struct sfemi_damage_patch {
     sfem_real x0[3], r;
@@ -22343,8 +22342,10 @@ typedef struct sfemi_damage_patch {
     sfem_real centre[3];    /* integral of q (X - x0) */
     sfem_real damage[4];    /* sums over broken edges of the tets' weight (X - x0), weight */
     sfem_real stress[9];    /* integral of q P */
-    sfem_real open[9];      /* and of q times the strain of damaged tets, as stress */
+    sfem_real open[10];     /* integral of q H over damaged tets, and of q, */
+    sfem_real rest[10];     /* the same over intact ones */
     sfem_real m[3], offset; /* the crack's plane: m.(X - x0) = offset */
+    sfem_real young;        /* integral of q E */
     int blind;              /* 1: a node is held too close to x0 */
 } sfemi_damage_patch;
 
@@ -22487,23 +22488,21 @@ static sfem_real sfemi_damage_patch_stress(const sfemi_damage *d, sfem_int e, co
     }
 }
 
-/* Adds the strain of a damaged tet, as stress. At most what opens at a crack of G = Gc, so that a piece that is far away
- * does not count for more. */
+/* Adds H of a tet. Of a damaged one at most what opens at a crack of G = Gc, so that a piece that is far away does not
+ * count for more. */
 static void sfemi_damage_patch_open(const sfemi_damage *d, sfem_int e, const sfem_real h[9], sfem_real q,
                                     sfemi_damage_patch *p)
 {
     const sfem_model *model = d->bonds->model;
     const sfem_real lambda = model->lambda[e], mu = model->mu[e], young = mu * (3 * lambda + 2 * mu) / (lambda + mu);
-    const sfem_real most = SFEMI_DAMAGE_OPEN * sqrt(2 * d->bonds->def.toughness * SFEMI_DAMAGE_REACH / (young * p->r));
-    sfem_real strain[9], size = 0;
+    sfem_real *to = d->kind[e] == SFEMI_INTACT ? p->rest : p->open, weight = q * model->volume[e], size = 0;
     int k;
-    for (k = 0; k < 9; ++k) {
-        strain[k] = (h[k] + h[3 * (k % 3) + k / 3]) / 2;
-        size += strain[k] * strain[k];
-    }
-    size = sqrt(size);
-    for (k = 0; k < 9; ++k)
-        p->open[k] += SFEMI_DAMAGE_OPEN * young * model->volume[e] * q * strain[k] * (size > most ? most / size : 1);
+    for (k = 0; k < 9; ++k) size += h[k] * h[k];
+    if (to == p->open)
+        weight *= fmin(1.0, SFEMI_DAMAGE_GAPE * sqrt(2 * d->bonds->def.toughness * SFEMI_DAMAGE_REACH / (young * p->r * (size + 1e-300))));
+    for (k = 0; k < 9; ++k) to[k] += weight * h[k];
+    to[9] += weight;
+    p->young += q * model->volume[e] * young;
 }
 
 /* Adds what tet e contributes. */
@@ -22531,7 +22530,7 @@ static void sfemi_damage_patch_add(const sfemi_damage *d, sfem_int e, const sfem
         p->damage[3] += weight;
     }
     sfemi_damage_patch_gradient(d, e, step, p, g, h);
-    if (d->kind[e] != SFEMI_INTACT) sfemi_damage_patch_open(d, e, h, q, p);
+    sfemi_damage_patch_open(d, e, h, q, p);
     if (d->kind[e] == SFEMI_DISCONNECTED) return;
     w = sfemi_damage_patch_stress(d, e, h, stress);
     for (a = 0; a < 4; ++a) {
@@ -22618,22 +22617,31 @@ static sfem_real sfemi_damage_patch_force(const sfemi_damage *d, const sfemi_dam
     return inwards;
 }
 
-/* Rotates m towards the direction in which the crack's plane is sheared: by the angle at which the hoop stress round the
- * front is largest [Erdogan, Sih 1963]. */
-static void sfemi_damage_patch_kink(const sfemi_damage *d, sfemi_damage_patch *p, const sfemi_damage_step *step)
+/* How a crack goes on, from how it is open: the mean H of damaged tets is (opening) n^T, n the normal of the crack. The
+ * parts of the opening along n and across are as K_I to K_II, and the crack's plane is rotated from n to where the hoop
+ * stress round the front is largest [Erdogan, Sih 1963]; straight: it is not. Adds m m^T, as large as the opening, less
+ * where sides slide more than they part: what is sheared alone has no direction of its own. */
+static void sfemi_damage_patch_kink(const sfemi_damage_patch *p, int straight, sfem_real sum[9])
 {
-    sfem_real way[3], pull[3], normal, shear, size, mode, part;
-    int c;
-    sfemi_damage_patch_force(d, p, step, way);
-    size = sqrt(sfemi_dot3(way, way));
-    if (!(size > 0)) return;
-    for (c = 0; c < 3; ++c) pull[c] = sfemi_dot3(p->stress + 3 * c, p->m);
-    normal = sfemi_dot3(pull, p->m);
-    shear = sfemi_dot3(pull, way) / size;
-    if (!(normal > 0)) return;
-    mode = SFEMI_DAMAGE_MODE * shear / normal;
-    part = 2 * mode / (1 + sqrt(1 + 8 * mode * mode)); /* the tangent of half the angle */
-    for (c = 0; c < 3; ++c) p->m[c] = ((1 - part * part) * p->m[c] + 2 * part * way[c] / size) / (1 + part * part);
+    sfem_real a[9], square[9], w[3], v[9], n[3], gap[3], across[3], normal, shear, size, mode, part;
+    int i, j, k;
+    for (k = 0; k < 9; ++k) /* less the rotation of what is intact */
+        a[k] = p->open[k] - p->open[9] * (p->rest[k] - p->rest[3 * (k % 3) + k / 3]) / (2 * p->rest[9] + 1e-300);
+    for (k = 0; k < 9; ++k)
+        for (i = 0, square[k] = 0; i < 3; ++i) square[k] += a[3 * i + k / 3] * a[3 * i + k % 3];
+    sfemi_sym_eigen(3, square, w, v);
+    for (i = 0; i < 3; ++i) n[i] = v[3 * i];
+    for (i = 0; i < 3; ++i) gap[i] = sfemi_dot3(a + 3 * i, n);
+    normal = fmax(sfemi_dot3(gap, n), 0.0);
+    for (i = 0; i < 3; ++i) across[i] = gap[i] - sfemi_dot3(gap, n) * n[i];
+    shear = sqrt(sfemi_dot3(across, across));
+    size = straight ? normal + shear : fmax(normal - 0.5 * shear, 0.0);
+    mode = shear / (normal + 1e-6 * shear + 1e-300);
+    part = straight || !(shear > 0) ? 0 : 2 * mode / (1 + sqrt(1 + 8 * mode * mode)); /* the tangent of half the angle */
+    for (i = 0; i < 3; ++i) n[i] = ((1 - part * part) * n[i] + (part > 0 ? 2 * part * across[i] / shear : 0)) / (1 + part * part);
+    for (i = 0; i < 3; ++i)
+        for (j = 0; j < 3; ++j)
+            sum[3 * i + j] += SFEMI_DAMAGE_OPEN * p->young / p->volume * size * n[i] * n[j];
 }
 
 /* m is the direction of the largest principal value of `tensor`; the crack's plane goes through what is broken. */
@@ -22675,9 +22683,9 @@ static sfem_real sfemi_damage_release_rate(sfemi_damage *d, sfem_int k, const sf
     p->blind = sfemi_damage_patch_held(d, p, step);
     sfemi_damage_patch_frame(d, step, p);
     for (i = 0; i < d->patch_tets; ++i) sfemi_damage_patch_add(d, d->patch_tet[i], step, p);
-    for (c = 0; c < 9; ++c) sum[c] = p->stress[c] + p->open[c];
+    for (c = 0; c < 9; ++c) sum[c] = p->stress[c];
+    if (p->damage[3] > 0) sfemi_damage_patch_kink(p, 0, sum);
     sfemi_damage_patch_across(sum, p);
-    if (p->damage[3] > 0) sfemi_damage_patch_kink(d, p, step);
     return sfemi_damage_patch_rate(d, step, p);
 }
 
@@ -23464,7 +23472,9 @@ static int sfemi_damage_choose(sfemi_damage *d, sfem_int k, const sfemi_damage_s
     sfem_int i;
     int count = sfemi_damage_list(d, &p, rate, out);
     if (!count && rate > 0 && p.damage[3] > 0) {
-        sfemi_damage_patch_across(p.open, &p);
+        sfem_real sum[9] = {0, 0, 0, 0, 0, 0, 0, 0, 0};
+        sfemi_damage_patch_kink(&p, 1, sum);
+        sfemi_damage_patch_across(sum, &p);
         count = sfemi_damage_list(d, &p, sfemi_damage_patch_rate(d, step, &p), out);
     }
     for (i = 0; i < d->patch_nodes; ++i) /* not looked at again in this round */

@@ -61,6 +61,26 @@ static void the_load_does_not_depend_on_the_places_of_nodes(void **state)
     }
 }
 
+/* Cells at an angle to the crack, and two of them through the thickness. */
+static void the_load_does_not_depend_on_the_orientation_of_cells(void **state)
+{
+    static const double degrees[2] = {22, 35};
+    int kind, k;
+    (void)state;
+    for (kind = 0; kind < STRIP_KINDS; ++kind)
+        for (k = 0; k < 3; ++k) {
+            strip s = strip_default(kind, k < 2 ? 6 : 4);
+            strip_result r;
+            if (k < 2) s.rotate = degrees[k];
+            else s.thick = 2, s.until = 2.2;
+            r = pull(s, k < 2 ? "rotated" : "thick");
+            print_message("    direction %.1f degrees, off its line by %.2f cells\n", r.angle, r.rough);
+            assert_near(r.peak, 1, 0.1, 0);
+            assert_near(r.angle, 0, 8, 0);
+            assert_true(r.parted > 0 && r.halves == 2);
+        }
+}
+
 /* share = 2/3 is the former criterion, of single edges: 1.2 and more on the same mesh. */
 static void single_edges_are_too_strong_a_criterion(void **state)
 {
@@ -101,6 +121,7 @@ int main(void)
         cmocka_unit_test(a_crack_starts_at_griffiths_load_on_every_mesh),
         cmocka_unit_test(the_load_does_not_depend_on_the_step),
         cmocka_unit_test(the_load_does_not_depend_on_the_places_of_nodes),
+        cmocka_unit_test(the_load_does_not_depend_on_the_orientation_of_cells),
         cmocka_unit_test(single_edges_are_too_strong_a_criterion),
         cmocka_unit_test(strips_part_whatever_the_law_and_the_criterion),
     };
