@@ -21577,6 +21577,27 @@ static sfem_int sfemi_apart_near_tet(const sfemi_damage *d, sfem_int k) { (void)
 static int sfemi_apart_corner(const sfemi_damage *d, sfem_int e) { (void)d, (void)e; return 0; }
 #endif
 
+/* What a round looks at. */
+static sfem_status sfemi_damage_take_lists(sfemi_damage *d, sfem_error *err)
+{
+    const sfem_model *model = d->bonds->model;
+    const size_t tets = (size_t)model->mesh.tets, nodes = (size_t)model->mesh.nodes;
+    const size_t edges = (size_t)d->bonds->edges;
+    sfem_status status = SFEM_OK;
+    if (d->bonds->limit) {
+        SFEMI_TAKE(unsigned char, d->warm, &d->pool, model->chunks.block_start[model->chunks.count]);
+        SFEMI_TAKE(unsigned char, d->was_warm, &d->pool, model->chunks.block_start[model->chunks.count]);
+    }
+    SFEMI_TAKE(sfem_int, d->watch, &d->pool, tets);
+    SFEMI_TAKE(sfem_int, d->known_edge, &d->pool, edges + 1);
+    SFEMI_TAKE(unsigned char, d->known, &d->pool, edges);
+    SFEMI_TAKE(sfem_int, d->near, &d->pool, edges);
+    SFEMI_TAKE(sfem_int, d->weigh, &d->pool, tets);
+    SFEMI_TAKE(sfem_int, d->near_end, &d->pool, nodes);
+done:
+    return status;
+}
+
 /* All memory that damage needs but its state, about 800 bytes a tet; nothing else here allocates.
  * Follow with attach, then reset or refresh. errors SFEM_OUT_OF_MEMORY */
 static sfem_status sfemi_damage_create(const sfemi_bonds *bonds,
@@ -21592,17 +21613,8 @@ static sfem_status sfemi_damage_create(const sfemi_bonds *bonds,
     d->bonds = bonds;
     SFEMI_TAKE(sfem_int, d->tet, &d->pool, tets);
     SFEMI_TAKE(unsigned char, d->kind, &d->pool, tets);
-    if (bonds->limit) {
-        SFEMI_TAKE(unsigned char, d->warm, &d->pool, model->chunks.block_start[model->chunks.count]);
-        SFEMI_TAKE(unsigned char, d->was_warm, &d->pool, model->chunks.block_start[model->chunks.count]);
-    }
+    SFEMI_TRY(sfemi_damage_take_lists(d, err));
     SFEMI_TAKE(unsigned char, d->dirty, &d->pool, tets);
-    SFEMI_TAKE(sfem_int, d->watch, &d->pool, tets);
-    SFEMI_TAKE(sfem_int, d->known_edge, &d->pool, edges + 1);
-    SFEMI_TAKE(unsigned char, d->known, &d->pool, edges);
-    SFEMI_TAKE(sfem_int, d->near, &d->pool, edges);
-    SFEMI_TAKE(sfem_int, d->weigh, &d->pool, tets);
-    SFEMI_TAKE(sfem_int, d->near_end, &d->pool, nodes);
     SFEMI_TAKE(unsigned char, d->held, &d->pool, edges);
     SFEMI_TAKE(unsigned char, d->gripped, &d->pool, nodes);
     SFEMI_TAKE(sfem_real, d->s, &d->pool, 36 * tets);
