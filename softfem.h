@@ -1798,6 +1798,8 @@ SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *body);
  *   - by itself, once the corrections beyond two a step have cost as much as a factor. Calm bodies on good meshes never
  *     need it. A factor that does not save what it cost is dropped, and the next one waits twice as long;
  *   - for a body with damage 8 steps after the last break, from what is left of K at rest; never while edges break;
+ *     on request then, too, but only where steps are corrected: they balance with it as without. With one solve a step the
+ *     energy in the inertia of the old factor, p h^2 w.(K0 - K) w/2, is lost when it is taken over;
  *   - on request, by sfem_body_refactorise: of the present tangent, or of k, the caller's own matrix: in space, on the
  *     model's pattern, without negative eigenvalues; it is copied.
  *
