@@ -1801,6 +1801,8 @@ SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *body);
  *   - for a body with damage 8 steps after the last break, from what is left of K at rest; never while edges break. Of
  *     linear tets only the columns on the paths from changed nodes to the root of the elimination tree are made again,
  *     with the bits of the whole: 0.1 to 0.8 of it in a bar of 10:1, the less the closer to the root the crack is;
+ *     on request then, too, but only where steps are corrected: they balance with it as without. With one solve a step the
+ *     energy in the inertia of the old factor, p h^2 w.(K0 - K) w/2, is lost when it is taken over;
  *   - on request, by sfem_body_refactorise: of the present tangent, or of k, the caller's own matrix: in space, on the
  *     model's pattern, without negative eigenvalues; it is copied.
  *
