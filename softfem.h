@@ -36387,7 +36387,7 @@ static void sfemi_obstacle_release(const sfem_contact *c, sfemi_obstacle *o)
 static void sfemi_contact_free_touch(sfem_contact *c, sfemi_touch *t)
 {
     const sfem_allocator *al = &c->def.allocator;
-    if (t->used) t->body->contact = NULL;
+    if (t->used && t->body) t->body->contact = NULL;
     sfemi_columns_release(c, t);
     if (t->method) t->method->release(c, t);
     sfemi_delete(al, t->place_of);
@@ -40385,6 +40385,7 @@ struct sfem_modal {
     sfemi_pool pool;
     sfem_modal_def def;
     sfem_reduced *reduced;
+    const void *contact; /* the sfem_contact that steps it, or NULL */
     const sfemi_modal_kernels *kernels;
     size_t m, stride, small_bytes, bytes; /* small: what a failed step restores */
     /* the state, in one block, see sfemi_modal_array */
@@ -43234,6 +43235,7 @@ static void sfemi_impact_release(const sfem_contact *c, sfemi_touch *t)
     const sfem_allocator *al = &c->def.allocator;
     sfemi_impact *m = sfemi_impact_part(t);
     if (!m) return;
+    if (t->used) m->modal->contact = NULL;
     sfem_reduced_view_free(m->view);
     sfemi_delete(al, m->before);
     sfemi_delete(al, m->start);
@@ -43334,6 +43336,9 @@ SFEM_DEF sfem_status sfem_contact_add_modal(sfem_contact *c, sfem_modal *modal, 
     sfem_int i, at;
     SFEM_ASSERT(c && modal);
     SFEMI_TRY(sfemi_contact_check_surface(s, "body", err));
+    if (modal->contact && modal->contact != c)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT,
+                          "this body is in another sfem_contact, which steps it: take it out there by sfem_contact_remove_body");
     for (i = 0, at = c->touches; i < c->touches; ++i) {
         if (c->touch[i].used && c->touch[i].method && sfemi_impact_part(c->touch + i)->modal == modal)
             return sfemi_fail(err, SFEM_BAD_ARGUMENT, "this body was added before, as number %d", (int)i);
@@ -43350,6 +43355,7 @@ SFEM_DEF sfem_status sfem_contact_add_modal(sfem_contact *c, sfem_modal *modal, 
     SFEMI_TRY(sfemi_impact_collect(c, t, count, node, err));
     SFEMI_TRY(sfemi_impact_prepare(c, t, err));
     t->used = 1;
+    modal->contact = c;
     if (at == c->touches) ++c->touches;
     if (id) *id = at;
     return SFEM_OK;
