@@ -30376,7 +30376,7 @@ static void sfemi_fracture_round(sfem_body *b)
     b->damage->f_before = NULL;
     b->state.balance->ringing -= b->state.balance->ringing > 0;
     if (!change.broken && !change.softened) return;
-    b->state.balance->ringing = RINGS;
+    if (b->bonds->def.criterion != SFEM_BREAK_DUCTILE) b->state.balance->ringing = RINGS; /* softening sets free little */
     b->refactor.since_break = 0;
     fallen = g->rejected ? change.psi1
                          : (change.psi0 + change.psi1) / 2 + (sfemi_safeguard_weight(b) - 0.5) / 2 * change.cross;
