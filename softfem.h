@@ -35727,18 +35727,26 @@ static void sfemi_contact_brake(sfemi_touch *t, sfem_real excess)
         if (!(b->mask[i / 3] >> (i % 3) & 1)) b->safeguard.w[i] *= scale;
 }
 
-/* The body where it is, but for what is held, which goes where it is to be. */
+/* The body where it is, but for what is held, which goes where it is to be. It gains no speed by a step that it does not
+ * make. */
 static void sfemi_contact_stay(sfemi_touch *t)
 {
     sfem_body *b = t->body;
     sfemi_safeguard *g = &b->safeguard;
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    sfem_real before = 0, after = 0;
+    size_t i;
     if (b->pin_count || b->schur.count) {
         memset(g->w, 0, n * sizeof *g->w);
         sfemi_safeguard_constrain(b);
         sfemi_correct_evaluate(b, &t->q);
         return;
     }
+    for (i = 0; i < n; ++i) {
+        before += b->model->node_mass[i / 3] * b->state.w[i] * b->state.w[i];
+        after += b->model->node_mass[i / 3] * g->w[i] * g->w[i];
+    }
+    for (i = 0; after > before && i < n; ++i) g->w[i] *= sqrt(before / after);
     memcpy(g->u, b->state.u, n * sizeof *g->u);
     g->psi = sfemi_safeguard_forces(b, g->u, g->f);
 }
