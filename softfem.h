@@ -34030,6 +34030,19 @@ static int sfemi_contact_face_is_broken(const sfemi_touch *t, const sfem_int *tr
     return of && t->body->damage && (of[tri[0]] != of[tri[1]] || of[tri[1]] != of[tri[2]]);
 }
 
+/* Is a point of a face held, all but this part of it, by pins? To move it by 1 the other nodes would have to move by 1 over
+ * what they weigh, without bound next to a pinned edge. */
+static int sfemi_contact_face_is_held(const sfemi_touch *t, const sfemi_row *row)
+{
+    const sfem_real least = 0.1;
+    sfem_real free_weight = 0;
+    int k;
+    if (t->method) return 0;
+    for (k = 0; k < 3; ++k)
+        if (t->body->mask[row->node[k]] != SFEM_AXIS_ALL) free_weight += row->weight[k];
+    return free_weight < least;
+}
+
 /* Faces of the body that meet an obstacle between their nodes, and have no row with it there. */
 static sfem_status sfemi_contact_detect_faces(sfem_contact *c, sfemi_touch *t, sfem_int obstacle, const sfem_real *w,
                                               sfem_real h, sfem_error *err)
@@ -34048,6 +34061,7 @@ static sfem_status sfemi_contact_detect_faces(sfem_contact *c, sfemi_touch *t, s
         row.obstacle = obstacle;
         if (sfemi_contact_face_is_touched(t, &row)) continue;
         memcpy(row.node, tri, 3 * sizeof *tri);
+        if (sfemi_contact_face_is_held(t, &row)) continue;
         row.parts = 3;
         for (k = 0; k < row.parts; ++k) row.body[k] = (sfem_int)(t - c->touch);
         sfemi_contact_face_at(t, o, tri, w, 0, 0, first);

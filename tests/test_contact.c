@@ -1392,6 +1392,42 @@ static void held_and_linear_bodies_touch_too(void **unused)
     }
 }
 
+/* A ball moves into the side of a pinned block next to the pinned edge: no lever of a nearly held point throws it about. */
+static void a_tool_at_a_pinned_edge_throws_nothing_about(void **unused)
+{
+    static const double away[] = {0.01, 1e-3, 1e-6};
+    const sfem_int cells[3] = {2, 2, 2}, pins[] = {0, 1, 2, 3, 4, 5, 6, 7, 8}; /* x = 0 */
+    const sfem_real size[3] = {0.2, 0.2, 0.2}, velocity[3] = {0, 0.5, 0};
+    size_t i;
+    (void)unused;
+    for (i = 0; i < TEST_COUNT(away); ++i) {
+        sfem_obstacle_def ball = sfem_default_obstacle_def();
+        sfem_body_def def = sfem_default_body_def();
+        sfem_error err;
+        sfem_mesh mesh;
+        sfem_int id, j;
+        scene s;
+        int k;
+        assert_ok(sfem_mesh_block(cells, size, SFEM_CELL_5_TETS, NULL, &mesh, &err), err);
+        def.pins = pins;
+        def.pin_count = TEST_COUNT(pins);
+        s = scene_of(mesh, SFEM_COROTATIONAL, 1e5, 0.3);
+        add_body(&s, &def, 0.5);
+        ball.kind = SFEM_OBSTACLE_SPHERE;
+        ball.size[0] = 0.005;
+        ball.position[0] = away[i];
+        ball.position[1] = -0.01;
+        ball.position[2] = 0.05;
+        assert_ok(sfem_contact_add_obstacle(s.contact, &ball, &id, &err), err);
+        assert_ok(sfem_contact_move_obstacle(s.contact, id, ball.position, NULL, velocity, NULL, &err), err);
+        for (k = 0; k < 8; ++k) {
+            step(&s, 1.0 / 60);
+            for (j = 0; j < 3 * s.mesh.nodes; ++j) assert_true(fabs(sfem_body_displacement(s.body[0])[j]) < 0.5);
+        }
+        drop(&s);
+    }
+}
+
 /* Tets that do not lock: a nearly incompressible cube lands, makes no energy, does not sink, and rests with its weight. */
 static void smooth_tets_touch_too(void **unused)
 {
@@ -2244,6 +2280,7 @@ int main(void)
         cmocka_unit_test(compliance_gives_way_in_proportion),
         cmocka_unit_test(overlaps_are_pushed_out_slowly),
         cmocka_unit_test(held_and_linear_bodies_touch_too),
+        cmocka_unit_test(a_tool_at_a_pinned_edge_throws_nothing_about),
         cmocka_unit_test(smooth_tets_touch_too),
         cmocka_unit_test(a_body_with_slivers_is_dropped_and_thrown),
         cmocka_unit_test(tiny_bodies_make_no_energy),
