@@ -1367,7 +1367,8 @@ typedef struct sfem_damage_def {
     int corrected;         /* linear laws, (p,q,r) with an accuracy below 1. 1: steps are corrected as those of nonlinear
                             * laws are, to that accuracy and with that dissipation: the motion is that of what is left,
                             * and its energy balances. 8 to 20 solves a step once edges are broken, one before. 0, the
-                            * default: one solve a step; part of the energy is in the inertia of the old factor */
+                            * default: one solve a step; part of the energy is in the inertia of the old factor.
+                            * Bodies whose materials have dampings of their own are corrected always */
     int closure;           /* a broken edge carries compression again: p >= 1/2, condensed only. An edge
                             * at an obtuse angle of its tet may open under pressure */
     sfem_real upright[2];  /* edge lengths do not tell a tet from its mirror image. So below J =
@@ -1985,6 +1986,10 @@ SFEM_DEF void sfem_body_fragment_positions(sfem_body *body, const sfem_fragments
  *            velocities of sfem_body_velocities, half a step on, would have more, they follow the way of the step
  *   Momentum the impulses of a step are what the momentum of a free body changes by beside its loads, also in a rejected
  *            step, to rounding but for torques that few points cannot bear
+ *   Held     points of faces whose weight is on pinned nodes, but for less than a quarter, do not touch: next to a pinned
+ *            edge a small push would throw the body about
+ *   Hanging  a body that falls by more than its thickness within a step, g h^2 (2.7 mm at h = 1/60), may find no step that is
+ *            not rejected, and hang where it is: a bar of 3 cm and 1.2 mm did so in 7 of 16 drops. Smaller steps are the cure
  *   Inside   nodes inside of a body that is not broken do not touch: one that is pressed flat may have them in the obstacle
  *   Crushed  a neo-Hookean block of smooth tets, nu 0.49, pressed below 42 % of its height, finds no step that makes no
  *            energy, and stays as it is while the plates go on into it
@@ -2102,7 +2107,7 @@ typedef struct sfem_contact_point {
     sfem_real position[3];   /* m, on the body, at the end of the step */
     sfem_real normal[3];     /* from the obstacle to the body */
     sfem_real gap;           /* m, < 0: penetration */
-    sfem_real impulse[3];    /* N s, on the body: what its momentum has changed by; */
+    sfem_real impulse[3];    /* N s, on the body: what its momentum has changed by (see sfem_contact_add_modal); */
     sfem_real force[3];      /* N, the same per time that it acts: half a step at a start, one and a half in a rejected one */
 } sfem_contact_point;
 /* Those of the last step with an impulse, by body and node; good until the next call to the object. */
@@ -2581,7 +2586,8 @@ SFEM_DEF sfem_modal_info sfem_modal_get_info(const sfem_modal *modal);
  *                               nothing arrives that would pass an obstacle
  *     q  += P J^T l2/h          over the step: 0 <= l2_n, gap >= 0 at its end, l2_n gap = 0
  * [Deuflhard, Krause, Ertel 2008], each with Coulomb's cone. Neither makes energy; what warping leaves of that is taken
- * from the velocities. With handles there is no such bound. A point of sfem_contact_points has l1 + l2. Of few modes a node
+ * from the velocities, and so from momenta, which the impulses reported do not tell. With handles there is no such bound.
+ * Nodes that yield less than a hundredth of the mean, those next to pins, take no impulse. A point of sfem_contact_points has l1 + l2. Of few modes a node
  * is heavy, and an impact takes more than of a body of nodes: a ball of 30 modes keeps 0.67, 0.85, 0.88 of its energy in a
  * bounce at 240, 480, 960 Hz. A compliance of the surface stands in for what the modes do not have. Steps are
  * sfem_contact_step's alone; sfem_modal_step moves it as if there were no obstacles. A link has to ask for a key frame after
@@ -29001,12 +29007,13 @@ static int sfemi_safeguard_is_linear(const sfem_body *b)
 
 /* How much of S corrected steps may have in Ec beyond the budget. What a break sets free rings in modes that are not
  * resolved, between which and the ends of steps Psi changes by much of itself: a third of the energy of bars torn slowly
- * was lost in steps that were rejected for that, with Eb in order. Of linear bodies Eb is a bound; of others Ec is
- * tested more loosely while they ring. */
+ * was lost in steps that were rejected for that, with Eb in order. Of linear bodies Eb is a bound; of corotational
+ * ones Ec is tested more loosely while they ring. */
 static sfem_real sfemi_safeguard_ringing(const sfem_body *b)
 {
     const sfem_real often = 0.3, ringing = 2;
-    return b->damage && b->scheme.rotates == SFEMI_CORRECTS && b->state.balance->ringing > 0 ? ringing : often;
+    const int bounded = b->model->margin < 0.3; /* Psi >= 0 for any tets: linear, corotational */
+    return b->damage && bounded && b->scheme.rotates == SFEMI_CORRECTS && b->state.balance->ringing > 0 ? ringing : often;
 }
 
 /* Is the energy of the step in b->safeguard in order? *budget: what it may be, the work done in the step included. */
@@ -31275,7 +31282,7 @@ static void sfemi_method_choose(sfem_body *b, const sfem_body_def *def)
     s->mean = s->pqr || s->central || s->lagging;
     s->newton = !s->mean && !(s->newmark && !nonlinear && !braked);
     if ((nonlinear && s->mean) || (braked && s->pqr) || (def->damage && (s->pqr || s->central)))
-        s->rotates = s->pqr && d->accuracy < 1 && (nonlinear || braked || sfemi_damage_is_corrected(def->damage))
+        s->rotates = s->pqr && d->accuracy < 1 && (nonlinear || braked || (def->damage && b->model->damping) || sfemi_damage_is_corrected(def->damage))
                          ? SFEMI_CORRECTS : SFEMI_ROTATES;
     s->resumes = !nonlinear && s->rotates != SFEMI_CORRECTS && !s->newton;
     s->safeguarded = d->safeguard && !s->central && (nonlinear || s->rotates == SFEMI_CORRECTS);
@@ -34030,11 +34037,11 @@ static int sfemi_contact_face_is_broken(const sfemi_touch *t, const sfem_int *tr
     return of && t->body->damage && (of[tri[0]] != of[tri[1]] || of[tri[1]] != of[tri[2]]);
 }
 
-/* Is a point of a face held, all but this part of it, by pins? To move it by 1 the other nodes would have to move by 1 over
+/* Is a point of a face held, all but a quarter of it, by pins? To move it by 1 the other nodes would have to move by 1 over
  * what they weigh, without bound next to a pinned edge. */
 static int sfemi_contact_face_is_held(const sfemi_touch *t, const sfemi_row *row)
 {
-    const sfem_real least = 0.1;
+    const sfem_real least = 0.25;
     sfem_real free_weight = 0;
     int k;
     if (t->method) return 0;
@@ -35596,6 +35603,19 @@ static sfem_real sfemi_contact_surplus(const sfem_contact *c, const sfemi_touch 
 
 /* ---- rejected steps ---- */
 
+/* J, the kinetic energy that loads give free nodes at rest in a step: less is no measure of what a body at rest may have. */
+static sfem_real sfemi_contact_fallen(const sfem_body *b)
+{
+    sfem_real fallen = 0;
+    sfem_int i;
+    for (i = 0; i < 3 * b->model->mesh.nodes; ++i) {
+        const sfem_real m = b->model->node_mass[i / 3];
+        const sfem_real v = b->step.h * (b->state.head->gravity[i % 3] + b->state.force[1][i] / m);
+        if (!(b->mask[i / 3] >> (i % 3) & 1)) fallen += m * v * v / 2;
+    }
+    return fallen;
+}
+
 /* A fallback, or its second stage, starts from no impulses: those of an iteration that was lost may be anything. */
 static void sfemi_contact_start_fallback(sfemi_touch *t)
 {
@@ -35609,7 +35629,7 @@ static void sfemi_contact_start_fallback(sfemi_touch *t)
     }
     b->kicked = 1;
     t->fallback = b->safeguard.rejected = 1;
-    b->state.head->scale = fmax(b->before.scale, t->arriving);
+    b->state.head->scale = fmax(fmax(b->before.scale, t->arriving), sfemi_contact_fallen(b));
     t->tolerance = fmax(sfemi_safeguard_open_fallback(b, &t->q), 1e-6 * b->state.head->scale);
     t->q.touches = 1;
 }
@@ -35642,8 +35662,8 @@ static sfem_real sfemi_contact_gain(const sfem_contact *c, const sfemi_touch *t,
                 reported - given - t->most - sfemi_contact_outer(b));
 }
 
-/* m: how deep rows are in safeguard.u beyond what they may be. */
-static sfem_real sfemi_contact_sunk(const sfemi_touch *t)
+/* m: how deep rows are at u beyond what they may be. */
+static sfem_real sfemi_contact_sunk(const sfemi_touch *t, const sfem_real *u)
 {
     const sfem_body *b = t->body;
     sfem_real deepest = 0;
@@ -35655,7 +35675,7 @@ static sfem_real sfemi_contact_sunk(const sfemi_touch *t)
         for (k = 0; k < row->parts; ++k)
             for (a = 0; a < 3; ++a) {
                 const size_t at = 3 * (size_t)row->node[k] + (size_t)a;
-                gap += row->weight[k] * row->axes[a] * (b->model->mesh.x[at] + b->safeguard.u[at]);
+                gap += row->weight[k] * row->axes[a] * (b->model->mesh.x[at] + u[at]);
             }
         deepest = fmax(deepest, -gap);
     }
@@ -35685,8 +35705,9 @@ static void sfemi_contact_lift(sfemi_touch *t, sfemi_row *row, sfem_real gap)
     for (k = 3; angle > 1 && k < 6; ++k) p->rigid[k] /= angle;
 }
 
-/* A last resort: free pieces move as rigid bodies, which stop at obstacles without friction. Psi stays what it is. */
-static sfem_status sfemi_contact_move_rigidly(sfem_contact *c, sfemi_touch *t, sfem_error *err)
+/* A last resort: free pieces move as rigid bodies, by `part` of their momenta, which stop at obstacles without friction. Psi
+ * stays what it is. */
+static sfem_status sfemi_contact_move_rigidly(sfem_contact *c, sfemi_touch *t, sfem_real part, sfem_error *err)
 {
     enum { ROUNDS = 3, MOST = 40 };
     sfem_body *b = t->body;
@@ -35695,6 +35716,8 @@ static sfem_status sfemi_contact_move_rigidly(sfem_contact *c, sfemi_touch *t, s
     sfem_int i, found, worst;
     int round, k;
     sfemi_contact_start_fallback(t);
+    for (i = 0; i < b->rotated.pieces; ++i)
+        for (k = 0; k < 6; ++k) b->rotated.piece[i].rigid[k] *= part;
     for (round = 0; round < ROUNDS; ++round) {
         sfemi_safeguard_move_rigidly(b);
         sfemi_safeguard_constrain(b);
@@ -35726,18 +35749,26 @@ done:
     return status;
 }
 
+/* J, of w' of the nodes that are free. */
+static sfem_real sfemi_contact_kinetic(const sfemi_touch *t)
+{
+    const sfem_body *b = t->body;
+    sfem_real kinetic = 0;
+    size_t i;
+    for (i = 0; i < 3 * (size_t)b->model->mesh.nodes; ++i)
+        if (!(b->mask[i / 3] >> (i % 3) & 1))
+            kinetic += b->scheme.r / 2 * b->model->node_mass[i / 3] * b->safeguard.w[i] * b->safeguard.w[i];
+    return kinetic;
+}
+
 /* w' times what takes `excess`, J, of its energy, or all. */
 static void sfemi_contact_brake(sfemi_touch *t, sfem_real excess)
 {
     const sfem_body *b = t->body;
-    const size_t n = 3 * (size_t)b->model->mesh.nodes;
-    sfem_real kinetic = 0, scale;
+    const sfem_real kinetic = sfemi_contact_kinetic(t);
+    const sfem_real scale = excess <= 0 ? 1 : kinetic > excess ? sqrt(1 - excess / kinetic) : 0;
     size_t i;
-    for (i = 0; i < n; ++i)
-        if (!(b->mask[i / 3] >> (i % 3) & 1))
-            kinetic += b->scheme.r / 2 * b->model->node_mass[i / 3] * b->safeguard.w[i] * b->safeguard.w[i];
-    scale = excess <= 0 ? 1 : kinetic > excess ? sqrt(1 - excess / kinetic) : 0;
-    for (i = 0; i < n; ++i)
+    for (i = 0; i < 3 * (size_t)b->model->mesh.nodes; ++i)
         if (!(b->mask[i / 3] >> (i % 3) & 1)) b->safeguard.w[i] *= scale;
 }
 
@@ -35773,12 +35804,15 @@ static sfem_status sfemi_contact_bound(sfem_contact *c, sfemi_touch *t, sfem_rea
     sfem_body *b = t->body;
     sfemi_safeguard *g = &b->safeguard;
     sfem_status status = SFEM_OK;
-    sfem_real excess, deep = 0.1 * t->edge;
+    sfem_real excess, part, deep = fmax(0.1 * t->edge, sfemi_contact_sunk(t, b->state.u));
     excess = sfemi_contact_gain(c, t, allowed);
-    if (sfemi_contact_sunk(t) > deep || !(excess <= 0.1 * b->state.head->scale)) {
-        SFEMI_TRY(sfemi_contact_move_rigidly(c, t, err));
-        excess = sfemi_contact_gain(c, t, allowed);
-        if (sfemi_contact_sunk(t) > deep) {
+    if (sfemi_contact_sunk(t, g->u) > deep || !(excess <= 0.1 * b->state.head->scale)) {
+        for (part = 1; part > 1e-3; part /= 4) { /* far and round corners it may rise; less far it does not */
+            SFEMI_TRY(sfemi_contact_move_rigidly(c, t, part, err));
+            excess = sfemi_contact_gain(c, t, allowed);
+            if (excess <= sfemi_contact_kinetic(t) && sfemi_contact_sunk(t, g->u) <= deep) break;
+        }
+        if (sfemi_contact_sunk(t, g->u) > deep) {
             sfemi_contact_stay(t);
             excess = sfemi_contact_gain(c, t, allowed);
         }
@@ -42529,6 +42563,7 @@ typedef struct sfemi_impact {
     sfem_real *strike, *force; /* [stride] S^2/M, P/h^2 */
     const sfem_real *response; /* that of the system, */
     sfem_real part;            /* and of the frame: 1 or 1/2 of what an impulse does to its velocity */
+    sfem_real least;           /* nodes that yield less take no impulse */
     sfemi_impact_kind kind;
     sfem_real *rows;           /* [nodes of the system][3][stride] J, */
     sfem_real *arm;            /* [nodes of the system][3] from the centre, */
@@ -42747,6 +42782,17 @@ static sfem_real sfemi_impact_gap(const sfem_contact *c, const sfemi_touch *t, c
 /* m: penetration that is not pushed out. */
 static sfem_real sfemi_impact_slop(const sfemi_touch *t) { return 1e-4 * t->edge; }
 
+/* Nodes next to pins hardly move with the modes: to move one, all others would have to move by as much more, without bound.
+ * m->least: a hundredth of the mean of phi^2 over the mass; what yields less takes no impulse. */
+static void sfemi_impact_find_least(sfemi_impact *m)
+{
+    const sfem_modal *b = m->modal;
+    sfem_real sum = 0;
+    size_t k;
+    for (k = 0; k < b->m; ++k) sum += m->response[k];
+    m->least = b->reduced->head->free ? 0 : 0.01 * sum / (3 * b->reduced->head->mass);
+}
+
 /* A row of the system: by >>contact, but for what it is pushed by, how it leaves, and what friction acts on. It gives by
  * a part of its own compliance: rows that few modes contradict would else have no solution. */
 static void sfemi_impact_set_up_row(const sfem_contact *c, const sfemi_touch *t, sfemi_row *row, sfem_real h)
@@ -42765,6 +42811,7 @@ static void sfemi_impact_set_up_row(const sfem_contact *c, const sfemi_touch *t,
     if (m->kind == SFEMI_IMPACT_STRIKE && e > 0 && -sfemi_dot3(row->axes, v) > 2 * h * sqrt(sfemi_dot3(g, g)))
         row->bounce = -e * sfemi_dot3(row->axes, v);
     sfemi_contact_set_up_row(c, t, row, h, h);
+    if (row->d[0] < m->least) memset(row->d, 0, sizeof row->d); /* no impulse */
     if (m->kind == SFEMI_IMPACT_PUSH) {
         row->bias[0] = row->pushed ? -fmin(c->def.push_share * -gap / h, c->def.push_speed) : fmax(0.0, gap / h);
         row->bias[1] = row->bias[2] = 0;
@@ -42809,6 +42856,7 @@ static sfem_status sfemi_impact_press(sfem_contact *c, sfemi_touch *t, sfemi_imp
     m->kind = kind;
     m->response = kind == SFEMI_IMPACT_STRIKE || kind == SFEMI_IMPACT_STICK ? m->strike : m->force;
     m->part = kind == SFEMI_IMPACT_STRIKE || kind == SFEMI_IMPACT_STICK ? 1 : 0.5;
+    sfemi_impact_find_least(m);
     t->change = t->size = 0;
     SFEMI_TRY(sfemi_contact_assemble(c, island, &count, err));
     for (i = 0; i < c->nodes; ++i) {

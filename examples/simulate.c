@@ -578,7 +578,7 @@ static void add_obstacles(run *r)
     sfem_error err;
     int k;
     if (all == 0) return;
-    if (r->modal) ex_fail("--floor and --obstacle: modal bodies touch nothing");
+    if (r->modal) ex_fail("--floor and --obstacle are for bodies of nodes: leave out --integrator modal");
     if (all > MAX_OBSTACLES) ex_fail("no more than %d obstacles", MAX_OBSTACLES);
     surface.friction = ex_real(&r->o, "--friction");
     surface.restitution = ex_real(&r->o, "--restitution");

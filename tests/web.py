@@ -190,7 +190,7 @@ def a_ball_pokes(b, page, pictures):
     b.keys('p')
     x, y = middle(b)
     b.drag([(x, y), (x + 5, y)])
-    need('modal bodies touch nothing' in b.message(), 'it says:', b.message())
+    need('modal scenes have no ball' in b.message(), 'it says:', b.message())
 
 
 def a_swipe_cuts_in_two(b, page, pictures):

@@ -595,7 +595,7 @@ SC_STATIC sfem_status sc_poke(sc_world *w, const double origin[3], const double 
     int c, met, tries;
     sc_release(w);
     for (c = 0; c < w->items; ++c)
-        if (!w->item[c].body) return sc_fail(err, SFEM_BAD_ARGUMENT, "modal bodies touch nothing: choose another scene to poke at");
+        if (!w->item[c].body) return sc_fail(err, SFEM_BAD_ARGUMENT, "modal scenes have no ball: choose another scene to poke at");
     for (c = 0; c < 3; ++c) length += direction[c] * direction[c];
     met = sc_pick_first(w, origin, direction, tet, bary, distance) >= 0;
     for (*distance = met ? *distance : 0, c = 0; c < 3 && !met; ++c)
