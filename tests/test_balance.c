@@ -335,9 +335,91 @@ static void slow_tearing_loses_nothing_in_rejected_steps(void **state)
     assert_balance(&s, 50, 0.5);
 }
 
+/* A neo-Hookean block of 1 mm is jerked as it breaks. Its energy has no lower bound in damaged tets: where more was allowed
+ * while they ring it grew without end. */
+static void a_jerked_neohookean_body_stays_in_its_place(void **state)
+{
+    static const sfem_int cells[3] = {8, 4, 2};
+    static const double size[3] = {1e-3, 0.5e-3, 0.25e-3}, h = 9e-5;
+    const sfem_int node = 9 * 5 * 3 - 1;
+    sfem_error err;
+    sfem_int handle;
+    scene s;
+    int k;
+    sfem_int i;
+    (void)state;
+    open_scene(&s, "jerked", cells, size, 0);
+    s.material.material.law = SFEM_NEOHOOKEAN;
+    s.material.material.young = 1e4;
+    s.damage.toughness = 0.0144;
+    s.def.gravity[2] = -1200;
+    hold(&s, 0, -1, 1e-9, -1, SFEM_AXIS_ALL);
+    make(&s);
+    for (k = 0; k < 27; ++k) advance(&s, h);
+    must(sfem_body_grab_node(s.body, node, &handle, &err), &err);
+    for (k = 0; k < 73; ++k) {
+        const sfem_real to[3] = {s.mesh.x[3 * node] + 1e-3 * k, s.mesh.x[3 * node + 1], s.mesh.x[3 * node + 2]};
+        must(sfem_body_move_handle(s.body, handle, to, &err), &err);
+        advance(&s, h);
+        for (i = 0; i < 3 * s.mesh.nodes; ++i) assert_true(fabs(sfem_body_displacement(s.body)[i]) < 0.2);
+    }
+    assert_true(sfem_body_fracture(s.body).kinetic_elastic >= 0);
+    assert_balance(&s, 50, 1);
+}
+
+/* Two materials, one with stiffness damping: K is taken from what breaks, D of its own is not. */
+static void materials_of_their_own_damping_break_and_stay_finite(void **state)
+{
+    static const sfem_int cells[3] = {8, 2, 2};
+    static const sfem_real size[3] = {1, 0.25, 0.25};
+    static const sfem_real from[9] = {0.8, -1, -1, 0.8, 2, -1, 0.8, 0, -0.5}, to[9] = {0.8, -1, -1, 0.8, 2, -1, 0.8, 0, 2};
+    int damped, k;
+    (void)state;
+    for (damped = 0; damped < 2; ++damped) {
+        sfem_material material[2] = {sfem_default_material(), sfem_default_material()};
+        sfem_damage_def damage = sfem_default_damage_def();
+        sfem_body_def def = sfem_default_body_def();
+        sfem_model_def model_def = sfem_default_model_def();
+        sfem_int pin[9], pins = 0, *of, i;
+        sfem_mesh mesh;
+        sfem_model *model;
+        sfem_body *body;
+        sfem_error err;
+        must(sfem_mesh_block(cells, size, SFEM_CELL_5_TETS, NULL, &mesh, &err), &err);
+        of = (sfem_int *)malloc((size_t)mesh.tets * sizeof *of);
+        for (i = 0; i < mesh.tets; ++i) of[i] = mesh.x[3 * mesh.tet[4 * i]] > 0.5;
+        for (i = 0; i < mesh.nodes; ++i)
+            if (mesh.x[3 * i] < 1e-9) pin[pins++] = i;
+        material[0].law = material[1].law = SFEM_LINEAR;
+        material[damped].stiffness_damping = 0.01;
+        model_def.mesh = &mesh;
+        model_def.materials = material;
+        model_def.material_count = 2;
+        model_def.tet_material = of;
+        must(sfem_model_create(&model_def, &model, &err), &err);
+        damage.toughness = 20;
+        def.damage = &damage;
+        def.pins = pin;
+        def.pin_count = pins;
+        def.gravity[2] = -20;
+        must(sfem_body_create(model, &def, &body, &err), &err);
+        for (k = 0; k < 60; ++k) {
+            if (k == 10) must(sfem_body_cut(body, from, to, NULL, &err), &err);
+            must(sfem_body_step(body, 1 / 60.0, &err), &err);
+            assert_true(fabs(sfem_body_fracture(body).error) < 0.02 * sfem_body_fracture(body).scale);
+        }
+        sfem_body_free(body);
+        sfem_model_free(model);
+        sfem_mesh_free(&mesh);
+        free(of);
+    }
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
+        cmocka_unit_test(a_jerked_neohookean_body_stays_in_its_place),
+        cmocka_unit_test(materials_of_their_own_damping_break_and_stay_finite),
         cmocka_unit_test(a_bent_bar_keeps_its_energy_where_it_is_corrected),
         cmocka_unit_test(a_bar_that_is_pulled_apart),
         cmocka_unit_test(a_plate_that_is_struck),

@@ -908,9 +908,46 @@ static void every_allocation_may_fail(void **unused)
     drop(&s);
 }
 
+/* Nodes next to pins hardly move with the modes. A ball that met them moved all others by a kilometre. */
+static void a_ball_next_to_pinned_nodes_throws_no_body(void **unused)
+{
+    static const double from_edge[] = {0.03, 0.01, 0.001, 1e-6};
+    const sfem_real velocity[3] = {0, 0.5, 0};
+    size_t i;
+    int k, a;
+    (void)unused;
+    for (i = 0; i < TEST_COUNT(from_edge); ++i) {
+        options o = usual(1e5);
+        sfem_obstacle_def tool = sfem_default_obstacle_def();
+        sfem_int id, node;
+        sfem_error err;
+        scene s;
+        o.pins = 9;
+        o.def.gravity[2] = 0;
+        s = scene_of(block(2, 0.2), &o);
+        tool.kind = SFEM_OBSTACLE_SPHERE;
+        tool.size[0] = 0.005;
+        tool.position[0] = from_edge[i];
+        tool.position[1] = -0.01;
+        tool.position[2] = 0.05;
+        assert_ok(sfem_contact_add_obstacle(s.contact, &tool, &id, &err), err);
+        assert_ok(sfem_contact_move_obstacle(s.contact, id, tool.position, NULL, velocity, NULL, &err), err);
+        for (k = 0; k < 8; ++k) {
+            step(&s, 1 / 60.0);
+            for (node = 0; node < s.mesh.nodes; ++node) {
+                sfem_real x[3];
+                sfem_modal_node(s.body, node, x, NULL, NULL);
+                for (a = 0; a < 3; ++a) assert_true(fabs(x[a] - s.mesh.x[3 * node + a]) < 0.25);
+            }
+        }
+        drop(&s);
+    }
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
+        cmocka_unit_test(a_ball_next_to_pinned_nodes_throws_no_body),
         cmocka_unit_test(a_dropped_body_makes_no_energy_and_comes_to_rest),
         cmocka_unit_test(a_block_below_the_friction_angle_does_not_creep),
         cmocka_unit_test(a_block_above_the_friction_angle_accelerates_as_coulomb_has_it),
