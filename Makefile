@@ -141,8 +141,12 @@ bench-source: $(BUILD)/bench/source ## the experiments of the (p,q,r) paper, wit
 hash: $(BUILD)/bench/hash ## hashes of what bodies do in many scenes, to compare before and after an edit
 	@OMP_THREAD_LIMIT=1 $(BUILD)/bench/hash
 
-stress: $(BUILD)/bench/stress ## which integrator survives what: 488 scenes; the default has to survive all
+stress: $(BUILD)/bench/stress $(BUILD)/bench/scenes ## which integrator survives what: 488 scenes; the default has to survive all, and those of examples/scenes
 	$(BUILD)/bench/stress
+	$(BUILD)/bench/scenes
+
+bench-scenes: $(BUILD)/bench/scenes ## what a step of each scene of examples/scenes takes
+	$(BUILD)/bench/scenes
 
 accuracy: $(BUILD)/bench/accuracy ## the verification table: expected beside found; CalculiX if there
 	$(ENVIRONMENT) $(BUILD)/bench/accuracy --references $(BUILD)/bench-real
@@ -333,7 +337,7 @@ $(BUILD)/tests/test_scenes: $(wildcard examples/scenes/*.h) examples/web/portabl
 
 $(addprefix $(BUILD)/bench/,real integrators accuracy stress hash mesher): tests/bodies.h tests/blocks.h
 
-$(BUILD)/bench/hash: $(wildcard examples/scenes/*.h)
+$(BUILD)/bench/hash $(BUILD)/bench/scenes: $(wildcard examples/scenes/*.h)
 
 $(BUILD)/bench/%: bench/%.c $(wildcard bench/*.h) softfem.h $(BUILD)/softfem.o
 	@mkdir -p $(@D)
