@@ -1042,7 +1042,7 @@ static void paths(void)
         for (k = 0; k < 7; ++k) {
             strip s = strip_default(kind, 8);
             strip_result r;
-            s.rotate = k ? uniform(&random, 0, 90) : 1e-9;
+            s.rotate = k ? block_uniform(&random, 0, 90) : 1e-9;
             s.seed = (uint64_t)(k + 1);
             strip_pull(&s, &r);
             angle += r.angle * r.angle / 7;
