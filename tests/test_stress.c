@@ -19,7 +19,7 @@ static int survived(const stress_scene *s, const stress_result *r)
            (r->verdict == STRESS_IS_SHAPE && creeps(s));
 }
 
-/* scenes of the fixed list whose family it is, with at most so many steps: every third, or every sixth of the families
+/* scenes of the fixed list whose family it is, with at most so many steps: every third, or every twelfth of the families
  * that take many corrections a step */
 static void survive(stress_family family, stress_form form, int steps)
 {
@@ -29,7 +29,7 @@ static void survive(stress_family family, stress_form form, int steps)
     if (TEST_SANITIZED && (family == STRESS_STIFF || family == STRESS_SLIVER)) skip(); /* minutes, by the same code */
     for (k = 0; stress_fixed(k, &s); ++k) {
         stress_result r;
-        if (s.family != family || k % (slow ? 6 : 3) != 1) continue;
+        if (s.family != family || k % (slow ? 12 : 3) != 1) continue;
         if (TEST_SANITIZED && runs == 1) break;
         if (s.steps > steps) s.steps = steps;
         r = stress_run(&s, form);
