@@ -1366,9 +1366,9 @@ typedef struct sfem_damage_def {
     int line_only;               /* no other edges break, except by a blade: fibres that it leaves stay */
     int corrected;         /* linear laws, (p,q,r) with an accuracy below 1. 1: steps are corrected as those of nonlinear
                             * laws are, to that accuracy and with that dissipation: the motion is that of what is left,
-                            * and its energy balances. 8 to 20 solves a step once edges are broken, one before. 0, the
+                            * and its energy balances. Several solves a step once edges are broken, one before. 0, the
                             * default: one solve a step; part of the energy is in the inertia of the old factor.
-                            * Bodies whose materials have dampings of their own are corrected always */
+                            * Bodies whose materials differ in damping are always corrected */
     int closure;           /* a broken edge carries compression again: p >= 1/2, condensed only. An edge
                             * at an obtuse angle of its tet may open under pressure */
     sfem_real upright[2];  /* edge lengths do not tell a tet from its mirror image. So below J =
@@ -1801,11 +1801,10 @@ SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *body);
  *     need it. A factor that does not save what it cost is dropped, and the next one waits twice as long;
  *   - for a body with damage 8 steps after the last break, from what is left of K at rest; never while edges break. Of
  *     linear tets only the columns on the paths from changed nodes to the root of the elimination tree are made again,
- *     with the bits of the whole: 0.1 to 0.8 of it in a bar of 10:1, the less the closer to the root the crack is;
- *     on request then, too, but only where steps are corrected: they balance with it as without. With one solve a step the
- *     energy in the inertia of the old factor, p h^2 w.(K0 - K) w/2, is lost when it is taken over;
+ *     with the bits of the whole: the fewer, the closer to the root the crack is (tests/test_break_cost.c);
  *   - on request, by sfem_body_refactorise: of the present tangent, or of k, the caller's own matrix: in space, on the
- *     model's pattern, without negative eigenvalues; it is copied.
+ *     model's pattern, without negative eigenvalues; it is copied. While edges break only where steps are corrected:
+ *     with one solve a step p h^2 w.(K0 - K) w/2, the energy in the inertia of the old factor, is lost with that factor.
  *
  * A step does def.refactorise times the operations of a step of one solve. Operations are counted, not timed, so runs
  * repeat bit for bit on any number of threads. The finished factor is taken over between two steps; w, the forces and
@@ -1908,8 +1907,9 @@ typedef struct sfem_fracture {
     sfem_real released;  /* taken by breaks */
     sfem_real error;     /* kinetic_elastic - start - work + damped + released. It contains the energy in the inertia
                           * of an old factor (linear bodies that are not corrected; < 0 while that builds up), rotation
-                          * by finite steps, what is lost in rejected steps, and what def.dissipation takes, */
-    sfem_real rejected, dissipated; /* which are these. The latter of corrected steps; exact where nothing rotates */
+                          * by finite steps, -rejected and -dissipated */
+    sfem_real rejected;   /* lost in rejected steps */
+    sfem_real dissipated; /* taken by def.dissipation, in corrected steps; exact where nothing rotates */
     sfem_real scale;     /* the largest of the terms so far: error/scale is the relative error */
     sfem_real surface;   /* sum of share Gc a over all edges broken since the body was whole */
     sfem_real least_p;   /* the least p that the damage law needs; 0: no more than any body */
@@ -1972,7 +1972,7 @@ SFEM_DEF void sfem_body_fragment_positions(sfem_body *body, const sfem_fragments
  * contact, too.
  *   Bodies   SFEM_PQR and what is translated to it (SFEM_CENTRAL, SFEM_GUI, SFEM_CHANG), of any law; pinned, held by
  *            handles, damaged: pieces collide with obstacles, not yet with each other. Each needs a workspace of its own.
- *            Modal bodies by a method of their own: sfem_contact_add_modal
+ *            Modal bodies have a method of their own: sfem_contact_add_modal
  *   Steps    by sfem_contact_step alone; sfem_body_step of a body moves it as if there were no obstacles. Forces, pins,
  *            handles and states are the caller's as before, between two steps
  *   Swept    a node that passes an obstacle within a step is found on its way. Balls of 0.15 m hold before plates of
@@ -1989,10 +1989,10 @@ SFEM_DEF void sfem_body_fragment_positions(sfem_body *body, const sfem_fragments
  *   Held     points of faces whose weight is on pinned nodes, but for less than a quarter, do not touch: next to a pinned
  *            edge a small push would throw the body about
  *   Hanging  a body that falls by its thickness within a step, g h^2 = 2.7 mm at h = 1/60, may find no step that is not
- *            rejected, and hang where it is: a plate of 30 x 10 x 0.4 mm did so in 4 of 10 drops. Smaller steps are the cure
+ *            rejected, and hang where it is: thin plates of a few centimetres. Smaller steps are the cure
  *   Inside   nodes inside of a body that is not broken do not touch: one that is pressed flat may have them in the obstacle
- *   Crushed  a neo-Hookean block of smooth tets, nu 0.49, pressed below 42 % of its height, finds no step that makes no
- *            energy, and stays as it is while the plates go on into it
+ *   Crushed  a neo-Hookean block of smooth tets, nu 0.49, pressed to less than half of its height, may find no step that
+ *            makes no energy, and stays as it is while the plates go on into it
  *   Faces    so are obstacles that meet a face of the body between its nodes: small ones, corners, edges, peaks
  *   Threads  as the bodies have them; results have the same bits for any number */
 typedef struct sfem_contact sfem_contact;
@@ -2004,11 +2004,10 @@ typedef struct sfem_contact_def {
     sfem_real push_share;      /* of a penetration that is taken back in a step, 0 to 1; 0.2 */
     sfem_real push_speed;      /* m/s, at most, >= 0; 0.5. It is work done on the body */
     sfem_int max_contacts;     /* of all bodies together, >= 1; 4096 */
-    size_t cache_bytes;        /* for columns of A^-1's factors, 12 bytes for each unknown on a node's way up the
-                                * elimination tree; 256 MB. Where they do not suffice, those that have not been of use
-                                * for longest go; where less is there than a step needs, they are made again when other
-                                * nodes touch. Only then there are those of all nodes in contact. Beside it a body keeps
-                                * 72 bytes for each pair of nodes that are in contact */
+    size_t cache_bytes;        /* for columns of L^-1, A = L L^T: 12 bytes for each unknown on a node's path up the
+                                * elimination tree; 256 MB. Where they do not suffice, the columns that were not used for
+                                * longest are dropped. More is taken only while new nodes touch, which needs the columns of
+                                * all nodes in contact. Beside it a body keeps 72 bytes for each pair of nodes in contact */
     sfem_real column_flops;    /* multiply-adds a step for columns of nodes that will touch within 8 steps, >= 0; 3e7. Bodies
                                 * that come near have them made early, of two nodes a step or more; 0: when they touch */
     sfem_allocator allocator;
@@ -2586,16 +2585,18 @@ SFEM_DEF sfem_modal_info sfem_modal_get_info(const sfem_modal *modal);
  *                               nothing arrives that would pass an obstacle
  *     q  += P J^T l2/h          over the step: 0 <= l2_n, gap >= 0 at its end, l2_n gap = 0
  * [Deuflhard, Krause, Ertel 2008], each with Coulomb's cone. Neither makes energy; what warping leaves of that is taken
- * from the velocities, and so from momenta, which the impulses reported do not tell. With handles there is no such bound.
- * Nodes that yield less than a hundredth of the mean, those next to pins, take no impulse. A point of sfem_contact_points has l1 + l2. Of few modes a node
- * is heavy, and an impact takes more than of a body of nodes: a ball of 30 modes keeps 0.67, 0.85, 0.88 of its energy in a
- * bounce at 240, 480, 960 Hz. A compliance of the surface stands in for what the modes do not have. Steps are
- * sfem_contact_step's alone; sfem_modal_step moves it as if there were no obstacles. A link has to ask for a key frame after
- * a step with contact, for q'' jumps. Bodies of the object do not touch each other.
+ * from the velocities, so that momenta may change by less than the impulses reported. With handles there is no such bound.
+ * Nodes that yield less than a hundredth of the mean, those next to pins, take no impulse. The impulse of a point in
+ * sfem_contact_points is l1 + l2. With few modes a node is heavy, and an impact takes more energy than from a body of nodes:
+ * a ball of 30 modes keeps 0.67, 0.85, 0.88 of it in a bounce at 240, 480, 960 Hz (tests/test_contact_modal.c). A compliance
+ * of the surface stands in for the modes that are missing. The body steps by sfem_contact_step; sfem_modal_step moves it as
+ * if there were no obstacles. A link has to ask for a key frame after a step with contact, for q'' jumps. Bodies of the
+ * object do not touch each other.
  *   node    [count] that may touch, or NULL: all of the surface. Faces take part where all of their nodes do
  *   *id     a number as sfem_contact_add_body gives them, for sfem_contact_remove_body
- *   errors  SFEM_BAD_ARGUMENT (node, surface, a body that was added before), SFEM_OUT_OF_MEMORY
- *   cost    a step of it: O(m) where its box is far from all obstacles; else the positions of its nodes at each of some
+ *   errors  SFEM_BAD_ARGUMENT (node, surface, a body that was added before, here or to another sfem_contact),
+ *           SFEM_OUT_OF_MEMORY
+ *   cost    O(nodes) and memory for it. A step of it: O(m) where its box is far from all obstacles; else the positions of its nodes at each of some
  *           rounds, and 9 m (nodes in contact)^2 */
 SFEM_DEF sfem_status sfem_contact_add_modal(sfem_contact *contact, sfem_modal *modal, const sfem_contact_surface *surface,
                                             sfem_int count, const sfem_int *node, sfem_int *id, sfem_error *err);
@@ -14534,6 +14535,19 @@ done:
     return status;
 }
 
+/* The supernode of a node, in the order of A. */
+static sfem_int sfemi_supernode_of(const sfemi_symbolic *y, sfem_int node)
+{
+    const sfem_int column = y->inverse[node];
+    sfem_int low = 0, high = y->supernodes;
+    while (high - low > 1) {
+        const sfem_int middle = low + (high - low) / 2;
+        if (y->first[middle] <= column) low = middle;
+        else high = middle;
+    }
+    return low;
+}
+
 /* ============================================================================================
  * >>solve   solves with a factor: up the elimination tree and down again
  *
@@ -14829,20 +14843,6 @@ SFEM_DEF void sfem_ldl_solve(const sfem_ldl *ldl, sfem_int rhs, sfem_real *x, sf
  * With L times the roots of D, A^-1 = L^-T L^-1: of unit right sides at nodes i and k the entry of A^-1 is the dot product
  * of two columns of L^-1, which are not 0 but in the supernode of their node and in those above it. */
 
-/* The supernode of node i, in the order of A. */
-static sfem_int sfemi_path_start(const sfem_ldl *ldl, sfem_int i)
-{
-    const sfemi_symbolic *y = ldl->symbolic;
-    const sfem_int column = y->inverse[i];
-    sfem_int low = 0, high = y->supernodes;
-    while (high - low > 1) {
-        const sfem_int middle = (low + high) / 2;
-        if (y->first[middle] <= column) low = middle;
-        else high = middle;
-    }
-    return low;
-}
-
 /* deep [supernodes]: the unknowns of each and of all above it, by which columns are as long. Returns the numbers in L
  * along the longest way up. */
 static double sfemi_path_lengths(const sfem_ldl *ldl, size_t *deep)
@@ -14869,7 +14869,7 @@ static void sfemi_path_columns(const sfem_ldl *ldl, const size_t *deep, sfem_int
     sfemi_solve q;
     sfem_int start[SFEMI_SOLVE_BLOCK], r, s;
     size_t i;
-    for (r = 0; r < count; ++r) start[r] = sfemi_path_start(ldl, (sfem_int)(unit[r] / y->per));
+    for (r = 0; r < count; ++r) start[r] = sfemi_supernode_of(y, (sfem_int)(unit[r] / y->per));
     sfemi_solve_set_up(&q, ldl, SFEMI_SOLVE_BLOCK, work);
     q.mark = mark;
     for (r = 0; r < count; ++r)
@@ -15528,6 +15528,15 @@ static void sfemi_slice_pass(const sfemi_symbolic *y, sfemi_slice *at)
     ++at->task;
 }
 
+/* Is all done? Then the factor may be used. */
+static int sfemi_slice_ends(sfem_ldl *ldl, const sfemi_slice *at)
+{
+    if (at->task < ldl->symbolic->tasks) return 0;
+    sfemi_ldl_statistics(ldl);
+    ldl->valid = 1;
+    return 1;
+}
+
 /* Does the next marked front, or unit of one, and returns its operations; 0 where all is done, -1 where the
  * matrix is not positive definite. */
 static double sfemi_slice_next(sfem_ldl *ldl, const sfem_matrix *a, sfemi_slice *at)
@@ -15538,11 +15547,7 @@ static double sfemi_slice_next(sfem_ldl *ldl, const sfem_matrix *a, sfemi_slice 
     double cost;
     sfemi_front q;
     while (at->task < y->tasks && !ldl->stale[y->task[y->by_level[at->task]] + at->front]) sfemi_slice_pass(y, at);
-    if (at->task == y->tasks) {
-        sfemi_ldl_statistics(ldl);
-        ldl->valid = 1;
-        return 0;
-    }
+    if (sfemi_slice_ends(ldl, at)) return 0;
     t = y->by_level[at->task];
     s = y->task[t] + at->front;
     cost = sfemi_front_flops(y, s) + SFEMI_SLICE_LEAST;
@@ -15556,10 +15561,7 @@ static double sfemi_slice_next(sfem_ldl *ldl, const sfem_matrix *a, sfemi_slice 
     if (lost >= 0) return -1;
     if (++at->unit < units) return cost / (double)units;
     sfemi_slice_pass(y, at);
-    if (at->task == y->tasks) {
-        sfemi_ldl_statistics(ldl);
-        ldl->valid = 1;
-    }
+    (void)sfemi_slice_ends(ldl, at);
     return cost / (double)units;
 }
 #endif
@@ -15568,16 +15570,8 @@ static double sfemi_slice_next(sfem_ldl *ldl, const sfem_matrix *a, sfemi_slice 
 static void sfemi_ldl_mark(const sfem_ldl *ldl, sfem_int node)
 {
     const sfemi_symbolic *y = ldl->symbolic;
-    const sfem_int at = y->inverse[node];
-    sfem_int low, high;
-    for (low = 0, high = y->supernodes; high - low > 1;) {
-        const sfem_int middle = low + (high - low) / 2;
-        if (y->first[middle] <= at)
-            low = middle;
-        else
-            high = middle;
-    }
-    for (; low >= 0 && !ldl->stale[low]; low = y->parent[low]) ldl->stale[low] = 1;
+    sfem_int s = sfemi_supernode_of(y, node);
+    for (; s >= 0 && !ldl->stale[s]; s = y->parent[s]) ldl->stale[s] = 1;
 }
 
 #define SFEMI_PANEL_SLACK                                                                          \
@@ -17076,7 +17070,7 @@ typedef struct sfemi_block {
 typedef struct sfemi_totals {
     sfem_real energy[SFEMI_LANES], inverted[SFEMI_LANES]; /* inverted: tets with det F <= 0 */
     const sfem_real *limit; /* [blocks] J, given; NULL: none */
-    unsigned char *warm;    /* [blocks] set to 1 where a tet has not less energy than that */
+    unsigned char *near_limit;    /* [blocks] set to 1 where a tet has not less energy than that */
 } sfemi_totals;
 
 /* Adds to out the internal forces of count blocks displaced by u, both [nodes of the chunk][4];
@@ -17549,13 +17543,13 @@ static SFEMI_INLINE void sfemi_lanes_forces_##S(sfemi_lanes_##S *w, const sfemi_
 }                                                                                                  \
                                                                                                    \
 /* has a tet not less energy than the limit? */                                                    \
-static SFEMI_INLINE void sfemi_lanes_warm_##S(sfemi_lanes_##S *w, const sfem_real limit,           \
-                                              unsigned char *warm)                                 \
+static SFEMI_INLINE void sfemi_lanes_near_limit_##S(sfemi_lanes_##S *w, const sfem_real limit,           \
+                                              unsigned char *near_limit)                                 \
 {                                                                                                  \
     const T most = (T)limit;                                                                       \
     int l;                                                                                         \
     for (l = 0; l < SFEMI_LANES; ++l) w->bad[l] = w->energy[l] < most ? 0 : 1;                     \
-    if (sfemi_lanes_any(w->bad, sizeof w->bad)) *warm = 1;                                         \
+    if (sfemi_lanes_any(w->bad, sizeof w->bad)) *near_limit = 1;                                         \
 }                                                                                                  \
                                                                                                    \
 static SFEMI_INLINE void sfemi_lanes_blocks_##S(const sfemi_block *block, sfem_int count,          \
@@ -17570,7 +17564,7 @@ static SFEMI_INLINE void sfemi_lanes_blocks_##S(const sfemi_block *block, sfem_i
     int l, i;                                                                                      \
     memset(&sum, 0, sizeof sum);                                                                   \
     sum.limit = totals->limit;                                                                     \
-    sum.warm = totals->warm;                                                                       \
+    sum.near_limit = totals->near_limit;                                                                       \
     for (; count > 0; --count, ++block) {                                                          \
         gather(block, u, w.d);                                                                     \
         sfemi_lanes_deform_##S(&w, block, fused);                                                  \
@@ -17589,7 +17583,7 @@ static SFEMI_INLINE void sfemi_lanes_blocks_##S(const sfemi_block *block, sfem_i
             sum.energy[l] += w.energy[l];                                                          \
             sum.inverted[l] += w.mu[l] > 0 && w.det[l] <= 0 ? 1 : 0;                               \
         }                                                                                          \
-        if (sum.limit) sfemi_lanes_warm_##S(&w, *sum.limit++, sum.warm++);                         \
+        if (sum.limit) sfemi_lanes_near_limit_##S(&w, *sum.limit++, sum.near_limit++);                         \
         for (l = 0; rotation && l < block->count; ++l) {                                           \
             for (i = 0; i < 9; ++i)                                                                \
                 rotation[9 * (size_t)block->tet[l] + (size_t)i] =                                  \
@@ -19793,7 +19787,7 @@ typedef struct sfemi_forces {
     sfem_real *spin;          /* [copies][12] temporaries for it */
     sfem_int *inverted;       /* how many tets have det F <= 0 */
     const sfem_real *limit;   /* [blocks] not of smooth tets: see sfemi_totals */
-    unsigned char *warm;
+    unsigned char *near_limit;
     sfem_real *work;          /* [sfem_model_work_size] */
     const sfem_exec *exec;
 } sfemi_forces;
@@ -19828,7 +19822,7 @@ static void sfemi_forces_chunks(void *data, sfem_int index)
         memset(out, 0, 4 * (size_t)count * sizeof *out);
         if (spin) memset(spin, 0, 12 * (size_t)count * sizeof *spin);
         totals.limit = ask->limit ? ask->limit + c->block_start[k] : NULL;
-        totals.warm = ask->limit ? ask->warm + c->block_start[k] : NULL;
+        totals.near_limit = ask->limit ? ask->near_limit + c->block_start[k] : NULL;
         job->kernel(job->block + c->block_start[k], c->block_start[k + 1] - c->block_start[k], u, out,
                     ask->rotation, spin, &totals);
         job->energy[k] = job->inverted[k] = 0;
@@ -20622,7 +20616,7 @@ typedef struct sfemi_damage {
     sfem_int *lane;          /* [model tets] block times SFEMI_LANES + lane, or NULL */
     sfem_int pieces;         /* connected components over intact edges, by lowest node */
     sfem_int *piece_of;      /* [nodes], -1: in no tet */
-    unsigned char *warm, *was_warm; /* [blocks] 1: a tet may reach its threshold at one of the places where forces were
+    unsigned char *near_limit, *was_near_limit; /* [blocks] 1: a tet may reach its threshold at one of the places where forces were
                               * computed since the last round, in the one before; NULL: smooth tets, all do */
     int marked;              /* 1: there may be marks */
     /* what a round looks at; the next one clears it */
@@ -21593,8 +21587,8 @@ static sfem_status sfemi_damage_take_lists(sfemi_damage *d, sfem_error *err)
     const size_t edges = (size_t)d->bonds->edges;
     sfem_status status = SFEM_OK;
     if (d->bonds->limit) {
-        SFEMI_TAKE(unsigned char, d->warm, &d->pool, model->chunks.block_start[model->chunks.count]);
-        SFEMI_TAKE(unsigned char, d->was_warm, &d->pool, model->chunks.block_start[model->chunks.count]);
+        SFEMI_TAKE(unsigned char, d->near_limit, &d->pool, model->chunks.block_start[model->chunks.count]);
+        SFEMI_TAKE(unsigned char, d->was_near_limit, &d->pool, model->chunks.block_start[model->chunks.count]);
     }
     SFEMI_TAKE(sfem_int, d->watch, &d->pool, tets);
     SFEMI_TAKE(sfem_int, d->known_edge, &d->pool, edges + 1);
@@ -21934,9 +21928,9 @@ static void sfemi_damage_refresh(sfemi_damage *d)
     sfem_int e;
     sfemi_damage_unmask(d);
     if (d->apart) sfemi_apart_reset(d);
-    if (d->warm) { /* the next step starts from where nothing is known */
-        memset(d->was_warm, 1, (size_t)model->chunks.block_start[model->chunks.count]);
-        memset(d->warm, 0, (size_t)model->chunks.block_start[model->chunks.count]);
+    if (d->near_limit) { /* the next step starts from where nothing is known */
+        memset(d->was_near_limit, 1, (size_t)model->chunks.block_start[model->chunks.count]);
+        memset(d->near_limit, 0, (size_t)model->chunks.block_start[model->chunks.count]);
     }
     memset(d->dirty, 3, (size_t)model->mesh.tets);
     d->marked = 1;
@@ -22353,7 +22347,7 @@ typedef struct sfemi_damage_round_job {
 #define SFEMI_DAMAGE_REACH 3.5
 #define SFEMI_DAMAGE_CORE 0.6
 #define SFEMI_DAMAGE_OPEN 2.0  /* weight of how a crack is open against the mean stress */
-#define SFEMI_DAMAGE_GAPE 4.0  /* strains at which an edge's length stores Gc */
+#define SFEMI_DAMAGE_OPENING 4.0  /* strains at which an edge's length stores Gc */
 
 typedef struct sfemi_damage_patch {
     sfem_real x0[3], r;
@@ -22366,7 +22360,7 @@ typedef struct sfemi_damage_patch {
     sfem_real rest[10];     /* the same over intact ones */
     sfem_real m[3], offset; /* the crack's plane: m.(X - x0) = offset */
     sfem_real young;        /* integral of q E */
-    int blind;              /* 1: a node is held too close to x0 */
+    int unknown;             /* 1: a node is held too close to x0 */
 } sfemi_damage_patch;
 
 /* Nodes within reach of edge k, and the tets that have any of them. */
@@ -22508,18 +22502,25 @@ static sfem_real sfemi_damage_patch_stress(const sfemi_damage *d, sfem_int e, co
     }
 }
 
+static sfem_real sfemi_damage_young(const sfem_model *model, sfem_int e)
+{
+    const sfem_real lambda = model->lambda[e], mu = model->mu[e];
+    return mu * (3 * lambda + 2 * mu) / (lambda + mu);
+}
+
 /* Adds H of a tet. Of a damaged one at most what opens at a crack of G = Gc, so that a piece that is far away does not
  * count for more. */
 static void sfemi_damage_patch_open(const sfemi_damage *d, sfem_int e, const sfem_real h[9], sfem_real q,
                                     sfemi_damage_patch *p)
 {
     const sfem_model *model = d->bonds->model;
-    const sfem_real lambda = model->lambda[e], mu = model->mu[e], young = mu * (3 * lambda + 2 * mu) / (lambda + mu);
+    const sfem_real young = sfemi_damage_young(model, e);
     sfem_real *to = d->kind[e] == SFEMI_INTACT ? p->rest : p->open, weight = q * model->volume[e], size = 0;
     int k;
     for (k = 0; k < 9; ++k) size += h[k] * h[k];
     if (to == p->open)
-        weight *= fmin(1.0, SFEMI_DAMAGE_GAPE * sqrt(2 * d->bonds->def.toughness * SFEMI_DAMAGE_REACH / (young * p->r * (size + 1e-300))));
+        weight *= fmin(1.0, SFEMI_DAMAGE_OPENING * sqrt(2 * d->bonds->def.toughness * SFEMI_DAMAGE_REACH /
+                                                        (young * p->r * (size + 1e-300))));
     for (k = 0; k < 9; ++k) to[k] += weight * h[k];
     to[9] += weight;
     p->young += q * model->volume[e] * young;
@@ -22688,7 +22689,7 @@ static sfem_real sfemi_damage_patch_rate(const sfemi_damage *d, const sfemi_dama
     for (c = 0; c < 3; ++c) /* inside, where x0 is on the surface, and not along a face */
         middle[c] = p->x0[c] + 0.05 * p->centre[c] / p->volume + 1e-3 * p->r * (0.8 * p->m[c] + 0.6 * way[c]);
     length = sfemi_damage_patch_front(d, middle, front);
-    return length > 0 && !p->blind ? fmax(size, inwards) / length : 0;
+    return length > 0 && !p->unknown ? fmax(size, inwards) / length : 0;
 }
 
 /* The energy that a crack round edge k would release for its area, J/m^2. d->patch and p->m, p->offset, which tell the
@@ -22700,7 +22701,7 @@ static sfem_real sfemi_damage_release_rate(sfemi_damage *d, sfem_int k, const sf
     sfem_int i;
     int c;
     sfemi_damage_gather_patch(d, k, p);
-    p->blind = sfemi_damage_patch_held(d, p, step);
+    p->unknown = sfemi_damage_patch_held(d, p, step);
     sfemi_damage_patch_frame(d, step, p);
     for (i = 0; i < d->patch_tets; ++i) sfemi_damage_patch_add(d, d->patch_tet[i], step, p);
     for (c = 0; c < 9; ++c) sum[c] = p->stress[c];
@@ -22781,32 +22782,32 @@ static void sfemi_damage_forget(sfemi_damage *d)
     d->watched = d->knowns = d->nears = d->weighed = d->ends = 0;
 }
 
-/* The tets to look at: all, or those of warm blocks that are intact, and the damaged ones. */
+/* The tets to look at: all, or those of blocks near the limit that are intact, and the damaged ones. */
 static void sfemi_damage_look(sfemi_damage *d)
 {
     const sfem_model *model = d->bonds->model;
     const sfemi_chunks *c = &model->chunks;
-    const sfem_int blocks = d->warm ? c->block_start[c->count] : 0;
+    const sfem_int blocks = d->near_limit ? c->block_start[c->count] : 0;
     sfem_int b, l, i;
-    if (!d->warm)
+    if (!d->near_limit)
         for (i = 0; i < model->mesh.tets; ++i) d->watch[d->watched++] = i;
     for (b = 0; b < blocks; ++b) {
-        if (!(d->warm[b] | d->was_warm[b])) continue;
+        if (!(d->near_limit[b] | d->was_near_limit[b])) continue;
         for (l = 0; l < c->block[b].count; ++l)
             if (d->kind[c->block[b].tet[l]] == SFEMI_INTACT) d->watch[d->watched++] = c->block[b].tet[l];
     }
-    for (i = 0; d->warm && i < d->tets; ++i) d->watch[d->watched++] = d->tet[i];
+    for (i = 0; d->near_limit && i < d->tets; ++i) d->watch[d->watched++] = d->tet[i];
 }
 
-/* After a step's round: what was warm at its end is so at the start of the next. */
-static void sfemi_damage_cool(sfemi_damage *d)
+/* After a step's round: what was near the limit at its end is so at the start of the next. */
+static void sfemi_damage_end_round(sfemi_damage *d)
 {
     const sfemi_chunks *c = &d->bonds->model->chunks;
-    unsigned char *was = d->was_warm;
-    if (!d->warm) return;
-    d->was_warm = d->warm;
-    d->warm = was;
-    memset(d->warm, 0, (size_t)c->block_start[c->count]);
+    unsigned char *was = d->was_near_limit;
+    if (!d->near_limit) return;
+    d->was_near_limit = d->near_limit;
+    d->near_limit = was;
+    memset(d->near_limit, 0, (size_t)c->block_start[c->count]);
 }
 
 /* Lists the edges of a tet. */
@@ -22822,7 +22823,7 @@ static void sfemi_damage_list_edges(sfemi_damage *d, sfem_int e)
 }
 
 /* The strain of edge k, computed if it is not known yet. Not in tasks. */
-static sfem_real sfemi_damage_know(sfemi_damage *d, sfem_int k)
+static sfem_real sfemi_damage_strain_of(sfemi_damage *d, sfem_int k)
 {
     if (d->known[k]) return d->strain[k];
     d->known[k] = 1;
@@ -23233,8 +23234,7 @@ static sfem_real sfemi_damage_limit(const sfemi_damage *d, sfem_int k)
     if (def->criterion == SFEM_BREAK_ENERGY) return g->price[k];
     for (at = g->tet_start[k]; at < g->tet_start[k + 1]; ++at) {
         const sfem_int e = g->edge_tet[at] / 6;
-        const sfem_real lambda = g->model->lambda[e], mu = g->model->mu[e];
-        const sfem_real young = mu * (3 * lambda + 2 * mu) / (lambda + mu);
+        const sfem_real young = sfemi_damage_young(g->model, e);
         const sfem_real limit = g->factor[k] * (def->criterion == SFEM_BREAK_STRESS   ? def->strength / young
                                                 : def->criterion == SFEM_BREAK_STRAIN ? def->strength
                                                                                       : def->soften[1]);
@@ -23254,7 +23254,7 @@ static sfem_real sfemi_damage_carried(sfemi_damage *d, sfem_int k)
         sfem_real s[6], diagonal[6];
         sfem_damage_tet tet;
         int j;
-        for (j = 0; j < 6; ++j) (void)sfemi_damage_know(d, g->tet_edge[6 * (g->edge_tet[at] / 6) + j]);
+        for (j = 0; j < 6; ++j) (void)sfemi_damage_strain_of(d, g->tet_edge[6 * (g->edge_tet[at] / 6) + j]);
         sfemi_damage_tet(g, g->edge_tet[at] / 6, &tet);
         sfemi_damage_tet_stress(d, g->edge_tet[at] / 6, &tet, s, diagonal);
         if (diagonal[place] > 0) sum += tet.volume * s[place] * s[place] / (2 * diagonal[place]);
@@ -23348,12 +23348,11 @@ static int sfemi_damage_is_open(sfemi_damage *d, sfem_int k)
     int j;
     for (at = g->tet_start[k]; at < g->tet_start[k + 1]; ++at) {
         const size_t e = (size_t)(g->edge_tet[at] / 6);
-        const sfem_real lambda = g->model->lambda[e], mu = g->model->mu[e];
-        const sfem_real young = mu * (3 * lambda + 2 * mu) / (lambda + mu);
+        const sfem_real young = sfemi_damage_young(g->model, (sfem_int)e);
         for (j = 0; j < 6; ++j) {
             const sfem_int other = g->tet_edge[6 * e + (size_t)j];
             sfem_real strain;
-            if (d->zeta[other] > 0 || !((strain = sfemi_damage_know(d, other)) > 0)) continue; /* its tets' volume is 2 L a */
+            if (d->zeta[other] > 0 || !((strain = sfemi_damage_strain_of(d, other)) > 0)) continue; /* its tets' volume is 2 L a */
             if (young * strain * strain * g->length[other] * g->area[other] >= sfemi_damage_limit(d, other)) return 1;
         }
     }
@@ -23454,7 +23453,7 @@ static sfem_int sfemi_damage_sort_peaks(sfemi_damage *d)
 enum { SFEMI_DAMAGE_TRIES = 8 }; /* edges that are tried round a peak until one breaks without making energy */
 
 /* Edges of the patch that may break, the largest w_k/price first, then by number. Returns how many. */
-static int sfemi_damage_list(const sfemi_damage *d, const sfemi_damage_patch *p, sfem_real rate,
+static int sfemi_damage_list_tries(const sfemi_damage *d, const sfemi_damage_patch *p, sfem_real rate,
                              sfem_int out[SFEMI_DAMAGE_TRIES])
 {
     const sfemi_bonds *g = d->bonds;
@@ -23490,12 +23489,12 @@ static int sfemi_damage_choose(sfemi_damage *d, sfem_int k, const sfemi_damage_s
     sfemi_damage_patch p;
     const sfem_real rate = sfemi_damage_release_rate(d, k, step, &p);
     sfem_int i;
-    int count = sfemi_damage_list(d, &p, rate, out);
+    int count = sfemi_damage_list_tries(d, &p, rate, out);
     if (!count && rate > 0 && p.damage[3] > 0) {
         sfem_real sum[9] = {0, 0, 0, 0, 0, 0, 0, 0, 0};
         sfemi_damage_patch_kink(&p, 1, sum);
         sfemi_damage_patch_across(sum, &p);
-        count = sfemi_damage_list(d, &p, sfemi_damage_patch_rate(d, step, &p), out);
+        count = sfemi_damage_list_tries(d, &p, sfemi_damage_patch_rate(d, step, &p), out);
     }
     for (i = 0; i < d->patch_nodes; ++i) /* not looked at again in this round */
         if (d->near_by[d->patch[i]] >= 1) d->most[d->patch[i]] = -1;
@@ -23562,7 +23561,7 @@ static void sfemi_damage_survey(sfemi_damage *d, sfemi_damage_round_job *job)
 /* One round of breaking after a step: softening, or local maxima of the criterion at the midpoint;
  * edges that a blade has marked; then dangling edges. Every break lowers the invariant, at worst by
  * nothing, but for edges that a blade has to force. Fills *change and d->event[0 .. d->events).
- * What is far from breaking costs next to nothing; a break some 40 us. */
+ * What is far from breaking is not looked at. */
 static void sfemi_damage_round(sfemi_damage *d, const sfemi_damage_step *step,
                                sfemi_damage_change *change)
 {
@@ -23808,12 +23807,12 @@ static void sfemi_damage_pieces(const sfemi_damage *d, const sfem_real *u, const
 
 /* What bodies ask of their damage; NULL: they cannot break. */
 static sfem_int sfemi_damage_tets(const sfemi_damage *d) { return d ? d->tets : 0; }
-/* Forces tell which blocks are warm. */
+/* Forces tell which blocks are near the limit. */
 static void sfemi_damage_ask(const sfemi_damage *d, sfemi_forces *ask)
 {
     if (!d) return;
     ask->limit = d->bonds->limit;
-    ask->warm = d->warm;
+    ask->near_limit = d->near_limit;
 }
 static sfem_int sfemi_damage_events(const sfemi_damage *d) { return d ? d->events : 0; }
 static sfem_real sfemi_damage_broken(const sfemi_damage *d) { return d ? d->account[SFEMI_BROKEN] : 0; }
@@ -24614,7 +24613,8 @@ static int sfemi_state_check_head(const void *shape, const char *at, size_t coun
            h.rebase >= SFEMI_BUDGET && h.rebase <= SFEMI_NEW_BUDGET && h.sleep >= SFEMI_AWAKE &&
            h.sleep <= (sleeps ? SFEMI_ASLEEP : SFEMI_AWAKE) && sfemi_finite(h.lag) && sfemi_finite(h.gamma) &&
            h.estimate >= 0 && h.rate >= 0 && h.rate <= 1 && sfemi_finite(h.pair_h) && sfemi_finite(h.calm) &&
-           h.calm >= 0 && sfemi_finite(h.slack) && h.slack >= 0 && h.step_forces >= 0 && h.step_forces <= 1 && sfemi_state_check_counts(&h);
+           h.calm >= 0 && sfemi_finite(h.slack) && h.slack >= 0 && h.step_forces >= 0 && h.step_forces <= 1 &&
+           sfemi_state_check_counts(&h);
 }
 
 static int sfemi_state_check_targets(const void *shape, const char *at, size_t count)
@@ -30379,7 +30379,7 @@ static void sfemi_fracture_round(sfem_body *b)
     step.exec = &b->exec;
     if (!g->rejected && head->started == SFEMI_RUNNING && head->h == b->step.h) b->damage->f_before = b->state.f_past;
     sfemi_damage_round(b->damage, &step, &change);
-    sfemi_damage_cool(b->damage);
+    sfemi_damage_end_round(b->damage);
     b->damage->f_before = NULL;
     b->state.balance->ringing -= b->state.balance->ringing > 0;
     if (!change.broken && !change.softened) return;
@@ -31282,8 +31282,9 @@ static void sfemi_method_choose(sfem_body *b, const sfem_body_def *def)
     s->mean = s->pqr || s->central || s->lagging;
     s->newton = !s->mean && !(s->newmark && !nonlinear && !braked);
     if ((nonlinear && s->mean) || (braked && s->pqr) || (def->damage && (s->pqr || s->central)))
-        s->rotates = s->pqr && d->accuracy < 1 && (nonlinear || braked || (def->damage && b->model->damping) || sfemi_damage_is_corrected(def->damage))
-                         ? SFEMI_CORRECTS : SFEMI_ROTATES;
+        /* by one solve breaking bodies whose tets differ in damping make energy: tests/test_balance.c */
+        s->rotates = s->pqr && d->accuracy < 1 && (nonlinear || braked || (def->damage && b->model->damping) ||
+                                                   sfemi_damage_is_corrected(def->damage)) ? SFEMI_CORRECTS : SFEMI_ROTATES;
     s->resumes = !nonlinear && s->rotates != SFEMI_CORRECTS && !s->newton;
     s->safeguarded = d->safeguard && !s->central && (nonlinear || s->rotates == SFEMI_CORRECTS);
     s->refactors = s->rotates && d->refactorise > 0 && s->pqr && d->frame != SFEM_FRAME_ISOTROPIC;
@@ -31862,10 +31863,10 @@ static sfem_real sfemi_body_span(const sfem_body *b)
 
 /* ---- forces of one step, F1
  *
- * Methods that keep the mean velocity w take h F1 as an impulse, on the right side; KR-alpha of linear bodies, whose
- * next step takes a part of a back, as w + M^-1 h F1 at the start, and so impulses. The others have accelerations at both ends of the
- * step: a spike of one step would leave a part of h F1 to the next step, and another part where its length differs. So
- * F1 is constant over the step, and a jumps at both of its ends:
+ * Methods that keep the mean velocity w take h F1 as an impulse, on the right side. KR-alpha of linear bodies, whose next
+ * step takes a part of a back, takes it as w + M^-1 h F1 at the start, and impulses likewise. The others have accelerations
+ * at both ends of the step: a spike of one step would leave a part of h F1 to the next step, and another part where its
+ * length differs. So F1 is constant over the step, and a jumps at both of its ends:
  *     a+ = a + M^-1 F1,   the step from a+ under F + F1,   a = a' - M^-1 F1 from then on ---- */
 
 /* Do impulses change the velocity that a step starts from? */
@@ -32885,9 +32886,9 @@ SFEM_DEF void sfem_body_heal(sfem_body *b)
  *     0 <= l_n, v_n >= 0, l_n v_n = 0                          |l_t| <= mu l_n, opposite to v_t
  * `least` is 0, or below it for a point that starts inside: such a one is pushed out slowly.
  *
- * COMPLIANCE. dw' = A^-1 J^T l, A = Q A0 Q^T, where Q rotates each node and A0 = L L^T is the rest pose's: of the
- * nodes in contact columns of L^-1 are kept (sfemi_columns), floats, whose products A0^-1 consists of. In node frames l~ = Q^T l, v~ = Q^T v the system is G = (A0^-1) itself, and rows
- * alone rotate. What the projection of rigid motions adds to A^-1 (>>rotated), 3 to 18 % of v, is left out of G: it is but
+ * COMPLIANCE. dw' = A^-1 J^T l, A = Q A0 Q^T, where Q rotates each node and A0 = L L^T is the rest pose's. The entries of
+ * A0^-1 are products of columns of L^-1, which are kept for the nodes in contact, in floats (sfemi_columns). In node frames
+ * l~ = Q^T l, v~ = Q^T v the system is G = (A0^-1) itself, and rows alone rotate. What the projection of rigid motions adds to A^-1 (>>rotated), 3 to 18 % of v, is left out of G: it is but
  * the metric of an iteration in which every change of l goes through a solve.
  *
  * THE STEP of a body (the corrected one, see >>safeguard):
@@ -32955,8 +32956,8 @@ typedef struct sfemi_row {
     sfem_real d[9], inverse[9], soft, bias[3], l[3];
 } sfemi_row;
 
-/* Columns of L^-1 of one factor, of nodes that may touch. They are not 0 from a node up the elimination tree alone, and need
- * but that part of one sweep: a tenth of the three solves of a column of A0^-1. */
+/* Columns of L^-1 of one factor, of nodes that may touch. They are 0 but from a node up the elimination tree, and need that
+ * part of one forward sweep in place of the whole solves of a column of A0^-1. */
 typedef struct sfemi_columns {
     struct sfemi_columns *next;
     sfem_model *model;
@@ -32981,6 +32982,7 @@ typedef struct sfemi_touch { /* a body */
     sfem_body *body;                         /* NULL: it is a modal one, of which only >>impact knows more: */
     const struct sfemi_touch_method *method; /* else NULL */
     void *part;
+    const void *object;        /* the body, of either kind */
     sfem_int *place_of;        /* [mesh_nodes] places in `node`, or -1; of a modal body only */
     sfem_int mesh_nodes;
     size_t own_bytes;          /* of that part */
@@ -34084,14 +34086,10 @@ done:
     return status;
 }
 
-/* The rows of a body that moves by w in the step; found: new ones. */
-static sfem_status sfemi_contact_detect(sfem_contact *c, sfemi_touch *t, const sfem_real *w, sfem_real h,
-                                        sfem_int *found, sfem_error *err)
+/* Where the body's nodes go in h at the velocity w, and the box of that. */
+static void sfemi_contact_move_nodes(sfemi_touch *t, const sfem_real *w, sfem_real h, sfem_real box[2][3])
 {
     const sfem_real *rest = t->body->model->mesh.x, *u = t->body->state.u;
-    const sfem_int before = t->rows;
-    sfem_status status = SFEM_OK;
-    sfem_real box[2][3];
     sfem_int i;
     int k;
     for (k = 0; k < 3; ++k) box[0][k] = 1e300, box[1][k] = -1e300;
@@ -34103,6 +34101,15 @@ static sfem_status sfemi_contact_detect(sfem_contact *c, sfemi_touch *t, const s
             if (low < box[0][k]) box[0][k] = low;
             if (high > box[1][k]) box[1][k] = high;
         }
+}
+
+/* New rows of a body whose nodes go from x0 to x1, within the box. */
+static sfem_status sfemi_contact_detect_within(sfem_contact *c, sfemi_touch *t, const sfem_real *w, sfem_real h,
+                                               sfem_real box[2][3], sfem_int *found, sfem_error *err)
+{
+    const sfem_int before = t->rows;
+    sfem_status status = SFEM_OK;
+    sfem_int i;
     sfemi_contact_follow(c, t, w, h);
     for (i = 0; i < c->obstacles; ++i) {
         if (!sfemi_contact_pair(t, c->obstacle + i) || sfemi_obstacle_is_far(c->obstacle + i, box, 1e-3 * t->edge))
@@ -34119,6 +34126,15 @@ static sfem_status sfemi_contact_detect(sfem_contact *c, sfemi_touch *t, const s
 done:
     *found = t->rows - before;
     return status;
+}
+
+/* The rows of a body that moves by w in the step; found: new ones. */
+static sfem_status sfemi_contact_detect(sfem_contact *c, sfemi_touch *t, const sfem_real *w, sfem_real h,
+                                        sfem_int *found, sfem_error *err)
+{
+    sfem_real box[2][3];
+    sfemi_contact_move_nodes(t, w, h, box);
+    return sfemi_contact_detect_within(c, t, w, h, box, found, err);
 }
 
 /* ---- columns ---- */
@@ -34217,7 +34233,7 @@ static sfem_status sfemi_columns_get(sfem_contact *c, sfemi_touch *t, sfem_error
             k->node[i] = t->node[i];
             k->index[t->node[i]] = i;
             k->free[i] = f->ldl ? sfemi_columns_free_node(f, t->node[i]) : -1;
-            if (k->free[i] >= 0) k->start[i] = sfemi_path_start(f->ldl, k->free[i]);
+            if (k->free[i] >= 0) k->start[i] = sfemi_supernode_of(f->ldl->symbolic, k->free[i]);
         }
         SFEMI_NEW(float *, k->at, al, surface);
         memcpy((void *)&k->factor, (const void *)&f, sizeof f); /* a reference: it is counted, never written to */
@@ -34328,21 +34344,13 @@ static sfem_int sfemi_columns_early(const sfem_contact *c, const sfemi_columns *
  * same whenever they are made. */
 static sfem_status sfemi_columns_expect(sfem_contact *c, sfemi_touch *t, sfem_real h, sfem_error *err)
 {
-    const sfem_real ahead = 8 * h, *rest = t->body->model->mesh.x, *u = t->body->state.u, *w = t->body->state.w;
+    const sfem_real ahead = 8 * h, *w = t->body->state.w;
     sfem_int which[SFEMI_COLUMN_BATCH], count = 0, most = -1, i, j;
     sfem_status status = SFEM_OK;
     sfem_real box[2][3];
     int k;
     if (!(c->early > 0 && t->nodes)) return SFEM_OK;
-    for (k = 0; k < 3; ++k) box[0][k] = 1e300, box[1][k] = -1e300;
-    for (i = 0; i < t->nodes; ++i)
-        for (k = 0; k < 3; ++k) {
-            const size_t at = 3 * (size_t)t->node[i] + (size_t)k, to = 3 * (size_t)i + (size_t)k;
-            const sfem_real x0 = t->x0[to] = rest[at] + u[at], x1 = t->x1[to] = x0 + ahead * w[at];
-            const sfem_real low = x0 < x1 ? x0 : x1, high = x0 < x1 ? x1 : x0;
-            if (low < box[0][k]) box[0][k] = low;
-            if (high > box[1][k]) box[1][k] = high;
-        }
+    sfemi_contact_move_nodes(t, w, ahead, box);
     for (j = 0; j < c->obstacles && most != 0 && count != most; ++j) {
         sfemi_obstacle o = c->obstacle[j];
         if (!sfemi_contact_pair(t, &o)) continue;
@@ -36543,13 +36551,31 @@ done:
     return status;
 }
 
+/* The number of a new body, which is in `other`, a sfem_contact or NULL. */
+static sfem_status sfemi_contact_find_place(sfem_contact *c, const void *object, const void *other, sfem_int *at, sfem_error *err)
+{
+    sfem_status status = SFEM_OK;
+    sfem_int i;
+    if (other && other != c)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT,
+                          "this body is in another sfem_contact, which steps it: take it out there by sfem_contact_remove_body");
+    for (i = 0, *at = c->touches; i < c->touches; ++i) {
+        if (c->touch[i].used && c->touch[i].object == object)
+            return sfemi_fail(err, SFEM_BAD_ARGUMENT, "this body was added before, as number %d", (int)i);
+        if (!c->touch[i].used && *at == c->touches) *at = i;
+    }
+    SFEMI_CONTACT_LIST(c, c->touch, c->touch_room, *at + 1);
+done:
+    return status;
+}
+
 SFEM_DEF sfem_status sfem_contact_add_body(sfem_contact *c, sfem_body *body, const sfem_contact_surface *surface,
                                            uint32_t regions, sfem_int *id, sfem_error *err)
 {
     const sfem_contact_surface standard = sfem_default_contact_surface(), *s = surface ? surface : &standard;
     sfemi_touch *t = NULL;
     sfem_status status = SFEM_OK;
-    sfem_int i, at;
+    sfem_int at;
     size_t n;
     SFEM_ASSERT(c && body);
     n = 3 * (size_t)body->model->mesh.nodes;
@@ -36558,22 +36584,14 @@ SFEM_DEF sfem_status sfem_contact_add_body(sfem_contact *c, sfem_body *body, con
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "a body with contact steps by SFEM_PQR, SFEM_CENTRAL, SFEM_GUI or SFEM_CHANG");
     if (body->workspace != &body->own)
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "a body with contact needs a workspace of its own: def.workspace NULL");
-    if (body->contact && body->contact != c)
-        return sfemi_fail(err, SFEM_BAD_ARGUMENT,
-                          "this body is in another sfem_contact, which steps it: take it out there by sfem_contact_remove_body");
-    for (i = 0, at = c->touches; i < c->touches; ++i) {
-        if (c->touch[i].used && c->touch[i].body == body)
-            return sfemi_fail(err, SFEM_BAD_ARGUMENT, "this body was added before, as number %d", (int)i);
-        if (!c->touch[i].used && at == c->touches) at = i;
-    }
-    SFEMI_CONTACT_LIST(c, c->touch, c->touch_room, at + 1);
+    SFEMI_TRY(sfemi_contact_find_place(c, body, body->contact, &at, err));
     SFEMI_CONTACT_ROOM(c, c->w, c->vector_room, n);
     SFEMI_CONTACT_ROOM(c, c->x, c->x_room, n);
     SFEMI_CONTACT_ROOM(c, c->y, c->y_room, n);
     SFEMI_CONTACT_ROOM(c, c->lambda, c->lambda_room, 3 * (size_t)body->def.max_handles + 1);
     t = c->touch + at;
     memset(t, 0, sizeof *t);
-    t->body = body;
+    t->object = t->body = body;
     t->contact = *s;
     t->whole = body->damage != NULL;
     t->mesh_nodes = body->model->mesh.nodes;
@@ -36769,7 +36787,8 @@ SFEM_DEF sfem_contact_info sfem_contact_get_info(const sfem_contact *c)
     sfem_int i;
     SFEM_ASSERT(c);
     info = c->info;
-    info.bytes = sizeof *c + c->column_bytes + (c->vector_room + c->x_room + c->y_room + c->v0_room + c->work_room + c->v_room +
+    info.bytes = sizeof *c + c->column_bytes +
+                 (c->vector_room + c->x_room + c->y_room + c->v0_room + c->work_room + c->v_room +
                  c->lambda_room) * sizeof(sfem_real) +
                  (size_t)c->obstacle_room * sizeof *c->obstacle + (size_t)c->touch_room * sizeof *c->touch +
                  (size_t)c->point_room * sizeof *c->point + (size_t)c->list_room * sizeof(void *) +
@@ -43033,8 +43052,6 @@ static sfem_status sfemi_impact_run(sfemi_touch *t, sfem_real h, sfem_error *err
 /* New rows, and where the others' planes are now. */
 static sfem_status sfemi_impact_detect(sfem_contact *c, sfemi_touch *t, sfem_real h, sfem_int *found, sfem_error *err)
 {
-    const sfem_int before = t->rows;
-    sfem_status status = SFEM_OK;
     sfem_real box[2][3];
     sfem_int i;
     int k;
@@ -43044,21 +43061,7 @@ static sfem_status sfemi_impact_detect(sfem_contact *c, sfemi_touch *t, sfem_rea
             box[0][k] = fmin(box[0][k], fmin(t->x0[3 * i + k], t->x1[3 * i + k]));
             box[1][k] = fmax(box[1][k], fmax(t->x0[3 * i + k], t->x1[3 * i + k]));
         }
-    sfemi_contact_follow(c, t, t->x1, h);
-    for (i = 0; i < c->obstacles; ++i) {
-        if (!sfemi_contact_pair(t, c->obstacle + i) || sfemi_obstacle_is_far(c->obstacle + i, box, 1e-3 * t->edge))
-            continue;
-        SFEMI_TRY(sfemi_contact_detect_nodes(c, t, i, h, err));
-    }
-    for (i = 0; i < c->obstacles && t->rows == before; ++i) { /* as in >>contact */
-        if (c->obstacle[i].def.kind == SFEM_OBSTACLE_PLANE || !sfemi_contact_pair(t, c->obstacle + i) ||
-            sfemi_obstacle_is_far(c->obstacle + i, box, 1e-3 * t->edge))
-            continue;
-        SFEMI_TRY(sfemi_contact_detect_faces(c, t, i, t->x1, h, err));
-    }
-done:
-    *found = t->rows - before;
-    return status;
+    return sfemi_contact_detect_within(c, t, t->x1, h, box, found, err);
 }
 
 /* Moves what is inside out of it, by a part of the way. */
@@ -43403,20 +43406,13 @@ SFEM_DEF sfem_status sfem_contact_add_modal(sfem_contact *c, sfem_modal *modal, 
     sfemi_touch *t = NULL;
     sfemi_impact *m = NULL;
     sfem_status status = SFEM_OK;
-    sfem_int i, at;
+    sfem_int at;
     SFEM_ASSERT(c && modal);
     SFEMI_TRY(sfemi_contact_check_surface(s, "body", err));
-    if (modal->contact && modal->contact != c)
-        return sfemi_fail(err, SFEM_BAD_ARGUMENT,
-                          "this body is in another sfem_contact, which steps it: take it out there by sfem_contact_remove_body");
-    for (i = 0, at = c->touches; i < c->touches; ++i) {
-        if (c->touch[i].used && c->touch[i].method && sfemi_impact_part(c->touch + i)->modal == modal)
-            return sfemi_fail(err, SFEM_BAD_ARGUMENT, "this body was added before, as number %d", (int)i);
-        if (!c->touch[i].used && at == c->touches) at = i;
-    }
-    SFEMI_CONTACT_LIST(c, c->touch, c->touch_room, at + 1);
+    SFEMI_TRY(sfemi_contact_find_place(c, modal, modal->contact, &at, err));
     t = c->touch + at;
     memset(t, 0, sizeof *t);
+    t->object = modal;
     t->contact = *s;
     SFEMI_NEW(sfemi_impact, m, &c->def.allocator, 1);
     t->part = m;

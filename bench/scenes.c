@@ -15,21 +15,6 @@
 
 enum { MOST = 1000 }; /* steps */
 
-/* What the bodies have over what was put in, over their scale. */
-static double energy_made(sc_world *w)
-{
-    double error = w->contact ? -sfem_contact_get_info(w->contact).work : 0, scale = 0;
-    int i;
-    for (i = 0; i < w->items; ++i) {
-        sfem_fracture f;
-        if (!w->item[i].body) return 0;
-        f = sfem_body_fracture(w->item[i].body);
-        error += f.error;
-        scale += f.scale;
-    }
-    return scale > 0 ? error / scale : 0;
-}
-
 static int stays(sc_world *w)
 {
     sfem_int i;
@@ -61,7 +46,7 @@ static int measure(const sc_scene *scene, double seconds, int small)
         bench_must(sc_step(w, &err), &err);
         time[k] = bench_seconds() - t;
         sum += time[k];
-        if (k > 2) made = fmax(made, energy_made(w)); /* what starts with a jerk has little energy yet */
+        if (k > 2) made = fmax(made, sc_energy_made(w)); /* what starts with a jerk has little energy yet */
         survives = stays(w) && made <= 0.01;
     }
     m = sc_measure_all(w);

@@ -57,7 +57,7 @@ static sfem_body *hang(const scene *s, sfem_body_def def, const sfem_damage_def 
 static void look_at_all(sfem_body *b)
 {
     const sfemi_chunks *c = &b->model->chunks;
-    memset(b->damage->warm, 1, (size_t)c->block_start[c->count]);
+    memset(b->damage->near_limit, 1, (size_t)c->block_start[c->count]);
 }
 
 /* --------------------------------------------------------------------------------------------

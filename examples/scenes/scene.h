@@ -822,6 +822,24 @@ SC_STATIC sc_measure sc_measure_all(sc_world *w)
     return m;
 }
 
+#if !defined SFEM_NO_DAMAGE && !defined SFEM_NO_CONTACT
+/* What the bodies have over what was put in, over their scale: the errors of their energy balances, less the work of contacts,
+ * which these do not contain. 0 of modal bodies. */
+SC_STATIC double sc_energy_made(const sc_world *w)
+{
+    double error = w->contact ? -sfem_contact_get_info(w->contact).work : 0, scale = 0;
+    int k;
+    for (k = 0; k < w->items; ++k) {
+        sfem_fracture f;
+        if (!w->item[k].body) return 0;
+        f = sfem_body_fracture(w->item[k].body);
+        error += f.error;
+        scale += f.scale;
+    }
+    return scale > 0 ? error / scale : 0;
+}
+#endif
+
 /* FNV-1a of all positions, bit by bit. */
 SC_STATIC uint64_t sc_hash(sc_world *w)
 {
