@@ -2,6 +2,7 @@
 #include "support.h"
 
 #include "bodies.h"
+#include "contact_meshes.h"
 
 #define GRAVITY 9.81
 
@@ -31,34 +32,6 @@ static void rotate(sfem_mesh *mesh, double angle) /* about y */
         x[0] = c * a + s * b;
         x[2] = -s * a + c * b;
     }
-}
-
-static void shift(sfem_mesh *mesh, double dx, double dy, double dz)
-{
-    sfem_int i;
-    for (i = 0; i < mesh->nodes; ++i) {
-        mesh->x[3 * i] += dx;
-        mesh->x[3 * i + 1] += dy;
-        mesh->x[3 * i + 2] += dz;
-    }
-}
-
-static sfem_mesh block(sfem_int n, double side)
-{
-    const sfem_int cells[3] = {n, n, n};
-    const sfem_real size[3] = {side, side, side};
-    sfem_mesh mesh;
-    sfem_error err;
-    assert_ok(sfem_mesh_block(cells, size, SFEM_CELL_5_TETS, NULL, &mesh, &err), err);
-    return mesh;
-}
-
-static sfem_mesh ball(double radius, sfem_int rings)
-{
-    sfem_mesh mesh;
-    sfem_error err;
-    assert_ok(sfem_mesh_ball(radius, rings, NULL, &mesh, &err), err);
-    return mesh;
 }
 
 static sfem_body_def falling(void)
