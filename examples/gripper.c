@@ -6,8 +6,9 @@
  *     _____________
  *
  * The scene is scenes/gripper.h: fingers that go together until each feels the grip that was asked for, then up, then
- * still. sfem_contact_obstacle_force is what a sensor in them reads. It is done twice, with --friction and with --slippery. Writes gripper.png, force.svg (what one finger feels over time),
- * curve.svg (over how far it has pressed in) and gripper.csv to the --out directory.
+ * still. sfem_contact_obstacle_force is what a sensor in them reads. It is done twice, with --friction and with --slippery.
+ * Writes gripper.png, force.svg (what one finger feels over time), curve.svg (over how far it has pressed in) and
+ * gripper.csv to the --out directory.
  *
  *     cc -O2 -c -DSOFTFEM_IMPLEMENTATION -x c softfem.h && cc -O2 -I. examples/gripper.c softfem.o -lm
  *
